@@ -1,0 +1,1 @@
+"""jaxplan: sampling-based online planning for drone interception."""

@@ -1,0 +1,47 @@
+"""``@record``: the frozen, keyword-only pytrees that carry all data of this library.
+
+A record is a dataclass that JAX can map over. Its ``__post_init__`` checks run when a person builds
+one, and never when JAX rebuilds one from traced leaves, so checks may look at concrete values.
+"""
+
+import dataclasses
+from typing import Any, TypeVar, dataclass_transform
+
+import jax
+
+T = TypeVar("T")
+
+
+def static(**kwargs: Any) -> Any:
+    """A record field that is part of the tree's structure: hashable, compared, never traced."""
+    return dataclasses.field(metadata={"static": True}, **kwargs)
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(static, dataclasses.field))
+def record(cls: type[T]) -> type[T]:
+    """Make ``cls`` a frozen keyword-only dataclass and register it as a JAX pytree."""
+    cls = dataclasses.dataclass(frozen=True, kw_only=True, eq=False)(cls)
+    fields = dataclasses.fields(cls)  # type: ignore[arg-type]
+    traced = tuple(f.name for f in fields if not f.metadata.get("static"))
+    fixed = tuple(f.name for f in fields if f.metadata.get("static"))
+
+    def flatten_with_keys(instance: T) -> tuple[Any, Any]:
+        children = [(jax.tree_util.GetAttrKey(name), getattr(instance, name)) for name in traced]
+        return children, tuple(getattr(instance, name) for name in fixed)
+
+    def flatten(instance: T) -> tuple[Any, Any]:
+        return [getattr(instance, name) for name in traced], tuple(getattr(instance, name) for name in fixed)
+
+    def unflatten(aux: Any, children: Any) -> T:
+        instance = object.__new__(cls)
+        for name, value in zip((*traced, *fixed), (*children, *aux), strict=True):
+            object.__setattr__(instance, name, value)
+        return instance
+
+    jax.tree_util.register_pytree_with_keys(cls, flatten_with_keys, unflatten, flatten)
+    return cls
+
+
+def replace(instance: T, **changes: Any) -> T:
+    """A copy of a record with some fields changed, checked like a new one."""
+    return dataclasses.replace(instance, **changes)  # type: ignore[type-var]
