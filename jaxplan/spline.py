@@ -2,13 +2,19 @@
 
 Each segment i is stored in its own normalised time s = (t - t_i) / T_i in [0, 1]; this keeps the
 coefficients of the size of the positions, however long or short the segment.
+
+A spline of NumPy arrays evaluates in NumPy: in float64, without compilation, whatever the process's JAX
+flags. A spline of JAX arrays evaluates in JAX and may stand inside any transformation.
 """
 
-import jax
+import math
+from types import ModuleType
+from typing import Any
+
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxplan.numerics import safe_divide
 from jaxplan.records import record
 
 
@@ -45,10 +51,11 @@ class FlatState:
         return self.derivatives[..., 4, :]
 
 
-def hover(pos: Float[Array, "3"], yaw: float = 0.0) -> FlatState:
-    """The state of rest at ``pos`` [m, world] with heading ``yaw`` [rad]."""
-    derivatives = jnp.zeros((5, 3), dtype=float).at[0].set(jnp.asarray(pos, dtype=float))
-    return FlatState(derivatives=derivatives, yaw=jnp.array([yaw, 0.0, 0.0], dtype=float))
+def hover(pos: Float[np.ndarray, "3"], yaw: float = 0.0) -> FlatState:
+    """The state of rest at ``pos`` [m, world] with heading ``yaw`` [rad], in NumPy float64."""
+    derivatives = np.zeros((5, 3))
+    derivatives[0] = pos
+    return FlatState(derivatives=derivatives, yaw=np.array([yaw, 0.0, 0.0]))
 
 
 @record
@@ -67,61 +74,56 @@ class PiecewisePolynomial:
 
     @property
     def duration(self) -> Float[Array, ""]:
-        return jnp.sum(self.durations)
-
-    @property
-    def knots(self) -> Float[Array, "m+1"]:
-        """Times of the knots [s] from the spline's start."""
-        return jnp.concatenate([jnp.zeros_like(self.durations[:1]), jnp.cumsum(self.durations)])
+        return self.durations.sum()
 
     def evaluate(self, t: Float[Array, "*t"], derivative: int = 0) -> Float[Array, "*t 4"]:
         """Position and yaw, or their ``derivative``-th time derivative, at ``t`` [s] from the start.
 
         Shape (..., 4), yaw last: m and rad per s^derivative.
         """
-        segment, s = self._locate(jnp.asarray(t, dtype=self.durations.dtype))
-        position = _horner(self.position[segment], s, self.durations[segment], derivative)
-        yaw = _horner(self.yaw[segment][..., None], s, self.durations[segment], derivative)
-        return jnp.concatenate([position, yaw], axis=-1)
+        xp = _namespace(self.durations, t)
+        segment, s = self._locate(xp.asarray(t, dtype=self.durations.dtype), xp)
+        duration = self.durations[segment]
+        position = _horner(self.position[segment], s, duration, derivative, xp)
+        yaw = _horner(self.yaw[segment][..., None], s, duration, derivative, xp)
+        return xp.concatenate([position, yaw], axis=-1)
 
     def state(self, t: Float[Array, "*t"]) -> FlatState:
         """The flat state at ``t`` [s] from the start: position to snap, yaw to yaw acceleration."""
+        xp = _namespace(self.durations, t)
         rows = [self.evaluate(t, derivative) for derivative in range(5)]
-        derivatives = jnp.stack([row[..., :3] for row in rows], axis=-2)
-        return FlatState(derivatives=derivatives, yaw=jnp.stack([row[..., 3] for row in rows[:3]], axis=-1))
+        return FlatState(
+            derivatives=xp.stack([row[..., :3] for row in rows], axis=-2),
+            yaw=xp.stack([row[..., 3] for row in rows[:3]], axis=-1),
+        )
 
     def dilate(self, alpha: Float[Array, ""]) -> "PiecewisePolynomial":
         """The same path flown ``alpha`` times as slowly (derivative k shrinks by alpha^-k)."""
         return PiecewisePolynomial(durations=self.durations * alpha, position=self.position, yaw=self.yaw)
 
-    def _locate(self, t: Float[Array, "*t"]) -> tuple[Int[Array, "*t"], Float[Array, "*t"]]:
-        ends = jnp.cumsum(self.durations)
-        last = jnp.maximum(jnp.sum(self.durations > 0.0) - 1, 0)
-        segment = jnp.clip(jnp.sum(t[..., None] >= ends, axis=-1), 0, last)
-        local = t - jnp.where(segment > 0, ends[segment - 1], 0.0)
-        return segment, jnp.clip(safe_divide(local, self.durations[segment]), 0.0, 1.0)
+    def _locate(self, t: Float[Array, "*t"], xp: ModuleType) -> tuple[Int[Array, "*t"], Float[Array, "*t"]]:
+        ends = xp.cumsum(self.durations)
+        last = xp.maximum((self.durations > 0.0).sum() - 1, 0)
+        segment = xp.clip((t[..., None] >= ends).sum(axis=-1), 0, last)
+        duration = self.durations[segment]
+        local = t - (ends[segment] - duration)
+        return segment, xp.clip(local / xp.where(duration > 0.0, duration, 1.0), 0.0, 1.0)
+
+
+def _namespace(*arrays: Any) -> ModuleType:
+    """NumPy when every argument is NumPy or plain Python, else JAX."""
+    return np if all(isinstance(a, np.ndarray | np.generic | float | int | list) for a in arrays) else jnp
 
 
 def _horner(
-    coefficients: Float[Array, "*t n d"], s: Float[Array, "*t"], duration: Float[Array, "*t"], derivative: int
+    coefficients: Float[Array, "*t n d"],
+    s: Float[Array, "*t"],
+    duration: Float[Array, "*t"],
+    derivative: int,
+    xp: ModuleType,
 ) -> Float[Array, "*t d"]:
     """Value of the ``derivative``-th time derivative of ascending polynomials in normalised time."""
-    n = coefficients.shape[-2]
-    if derivative >= n:
-        return jnp.zeros(coefficients.shape[:-2] + coefficients.shape[-1:], coefficients.dtype)
-    value = jnp.zeros(coefficients.shape[:-2] + coefficients.shape[-1:], coefficients.dtype)
-    for power in range(n - 1, derivative - 1, -1):
-        factor = float(_falling_factorial(power, derivative))
-        value = value * s[..., None] + factor * coefficients[..., power, :]
-    return value * safe_divide(jnp.ones_like(duration), duration**derivative)[..., None]
-
-
-def _falling_factorial(power: int, count: int) -> int:
-    product = 1
-    for i in range(count):
-        product *= power - i
-    return product
-
-
-evaluate_state = jax.jit(PiecewisePolynomial.state)
-"""``spline.state(t)`` compiled; a new shape of ``t`` or spline compiles anew."""
+    value = xp.zeros(coefficients.shape[:-2] + coefficients.shape[-1:], coefficients.dtype)
+    for power in range(coefficients.shape[-2] - 1, derivative - 1, -1):
+        value = value * s[..., None] + math.perm(power, derivative) * coefficients[..., power, :]
+    return value / xp.where(duration > 0.0, duration, 1.0)[..., None] ** derivative

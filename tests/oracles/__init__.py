@@ -1,0 +1,1 @@
+"""Independent single-problem implementations in NumPy, SciPy or mpmath, to hold the library against."""
