@@ -1,0 +1,148 @@
+"""Arrival matching: slow every candidate down until it meets the target (paper, Sec. III-B).
+
+A time allocation pi(p, D) gives the least durations for waypoints p from the initial derivatives D. Slowed by
+alpha it becomes alpha * pi(p, alpha D), where alpha D scales the k-th derivative by alpha^k: the same path, flown
+alpha times as slowly. The arrival time T_goal is met at the root of
+
+    f(x) = x + log sum pi(p, e^x D) - log T_goal,        x = log alpha.
+
+The paper iterates x <- x - f(x), which oscillates or diverges when pi shrinks as fast as alpha grows. Here the
+same first step is followed by a secant safeguarded by a bracket, for all candidates in one ``lax.while_loop``.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, UInt32
+
+from jaxplan.errors import InputError
+from jaxplan.status import Reason, bit
+
+Decode = Callable[[Float[Array, "4 3 k"]], Float[Array, "m k"]]
+"""Durations [s] of every candidate from its initial velocity, acceleration, jerk and snap."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ArrivalConfig:
+    """Stopping rule of the alpha iteration."""
+
+    tolerance: float = 1e-3
+    """Largest relative error of the arrival time."""
+    max_calls: int = 16
+    """Largest number of calls of the time allocation."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.tolerance < 1.0:
+            raise InputError(f"arrival: tolerance is {self.tolerance}, want a number between 0 and 1")
+        if not 2 <= self.max_calls <= 1000:
+            raise InputError(f"arrival: max_calls is {self.max_calls}, want 2 to 1000")
+
+
+class Arrival(NamedTuple):
+    """Time allocations that arrive at T_goal, one lane per candidate."""
+
+    durations: Float[Array, "m k"]
+    """Seconds per segment, summing to T_goal exactly where converged."""
+    alpha: Float[Array, "k"]
+    """Scale factor; >= 1 means that the candidate is reachable. Below 1 it is only T_goal / least_time."""
+    least_durations: Float[Array, "m k"]
+    """Seconds per segment at alpha = 1."""
+    reasons: UInt32[Array, "k"]
+    calls: Int[Array, "k"]
+    """Calls of the time allocation until the lane was done."""
+
+
+class _Search(NamedTuple):
+    """Carry of the root search; every field has one lane per candidate."""
+
+    x: Float[Array, "k"]
+    f: Float[Array, "k"]
+    durations: Float[Array, "m k"]
+    below: Float[Array, "k"]
+    f_below: Float[Array, "k"]
+    above: Float[Array, "k"]
+    f_above: Float[Array, "k"]
+    calls: Int[Array, "k"]
+    trips: Int[Array, ""]
+
+
+def match_arrival(
+    decode: Decode, initial: Float[Array, "4 3"], arrival_times: Float[Array, "k"], config: ArrivalConfig
+) -> Arrival:
+    """Find alpha for every candidate; candidates that need alpha < 1 are done after the first call."""
+    log_goal = jnp.log(arrival_times)
+
+    def allocate(x: Float[Array, "k"]) -> tuple[Float[Array, "m k"], Float[Array, "k"]]:
+        durations = decode(scale_derivatives(initial, jnp.exp(x)))
+        return durations, x + jnp.log(jnp.sum(durations, axis=0)) - log_goal
+
+    def unfinished(search: _Search) -> Bool[Array, ""]:
+        return (search.trips < config.max_calls) & jnp.any(_active(search, config))
+
+    def step(search: _Search) -> _Search:
+        active = _active(search, config)
+        x = jnp.where(active, _propose(search), search.x)
+        durations, f = allocate(x)
+        return _keep(active, search, _narrow(search, x, f, durations))
+
+    zero = jnp.zeros_like(arrival_times)
+    least, f = allocate(zero)
+    nan, lanes = jnp.full_like(zero, jnp.nan), jnp.ones(zero.shape, jnp.int32)
+    start = _Search(zero, f, least, zero, f, nan, nan, lanes, jnp.int32(1))
+    end = jax.lax.while_loop(unfinished, step, start)
+    reachable = f <= config.tolerance
+    met = jnp.abs(end.f) <= config.tolerance
+    alpha = jnp.where(reachable, jnp.exp(end.x), jnp.exp(-f))
+    exact = end.durations * jnp.exp(end.x) * jnp.exp(-end.f)
+    reasons = bit(~reachable, Reason.ALPHA_LT_1) | bit(reachable & ~met, Reason.ALPHA_NOT_CONVERGED)
+    return Arrival(jnp.where(met, exact, end.durations), alpha, least, reasons, end.calls)
+
+
+def scale_derivatives(initial: Float[Array, "4 3"], alpha: Float[Array, "k"]) -> Float[Array, "4 3 k"]:
+    """alpha D: the k-th derivative times alpha^k (paper eq. 8)."""
+    powers = alpha ** jnp.arange(1, 5, dtype=alpha.dtype)[:, None]
+    return initial[..., None] * powers[:, None]
+
+
+def _active(search: _Search, config: ArrivalConfig) -> Bool[Array, "k"]:
+    """Lanes still looking for their root: early so far or overshot, and finite."""
+    reachable = (search.f_below <= config.tolerance) & jnp.isfinite(search.f)
+    return reachable & (jnp.abs(search.f) > config.tolerance)
+
+
+def _propose(search: _Search) -> Float[Array, "k"]:
+    """The paper's step until the root is bracketed; then the secant of the bracket, every third time its middle."""
+    bracketed = jnp.isfinite(search.above)
+    slope = (search.f_above - search.f_below) / (search.above - search.below)
+    secant = search.below - search.f_below / slope
+    middle = 0.5 * (search.below + search.above)
+    inside = (secant > search.below) & (secant < search.above) & (search.trips % 3 != 2)
+    return jnp.where(bracketed, jnp.where(inside, secant, middle), search.x - search.f * _stretch(search.trips))
+
+
+def _stretch(trips: Int[Array, ""]) -> Float[Array, ""]:
+    """Widen the unbracketed steps as they repeat, so that a slow approach still ends."""
+    return jnp.where(trips <= 3, 1.0, 2.0 ** jnp.minimum(trips - 3, 10))
+
+
+def _narrow(search: _Search, x: Float[Array, "k"], f: Float[Array, "k"], durations: Float[Array, "m k"]) -> _Search:
+    early = f < 0.0
+    return _Search(
+        x=x,
+        f=f,
+        durations=durations,
+        below=jnp.where(early, x, search.below),
+        f_below=jnp.where(early, f, search.f_below),
+        above=jnp.where(early, search.above, x),
+        f_above=jnp.where(early, search.f_above, f),
+        calls=search.calls + 1,
+        trips=search.trips + 1,
+    )
+
+
+def _keep(active: Bool[Array, "k"], old: _Search, new: _Search) -> _Search:
+    """Take the new values of the active lanes; the loop counter always moves on."""
+    return jax.tree.map(lambda a, b: b if a.ndim == 0 else jnp.where(active, b, a), old, new)

@@ -1,0 +1,64 @@
+"""Goal candidates: where and when the target could be met (paper, Sec. III and III-C)."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, UInt32
+
+from jaxplan.records import record
+from jaxplan.status import Reason, bit
+from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.world.scene import World
+
+
+@record
+class Candidates:
+    """K goals with their arrival times; candidates with a reason are dropped before the costly stations."""
+
+    goals: Float[Array, "k 3"]
+    """Positions [m, world]."""
+    arrival_times: Float[Array, "k"]
+    """Seconds from the instant of the prediction."""
+    likelihood: Float[Array, "k"]
+    """Normalised to [0, 1] within the batch."""
+    reasons: UInt32[Array, "k"]
+
+
+def candidates_from(
+    goals: Float[Array, "k 3"], arrival_times: Float[Array, "k"], log_likelihood: Float[Array, "k"]
+) -> Candidates:
+    """Candidates whose likelihood is relative to the best one; equal log-likelihoods all give 1."""
+    best = jnp.max(log_likelihood, initial=-jnp.inf, where=jnp.isfinite(log_likelihood))
+    likelihood = jnp.where(jnp.isfinite(log_likelihood), jnp.exp(log_likelihood - best), 0.0)
+    return Candidates(
+        goals=goals,
+        arrival_times=arrival_times,
+        likelihood=likelihood,
+        reasons=jnp.zeros(goals.shape[0], jnp.uint32),
+    )
+
+
+def reject_early(
+    candidates: Candidates, world: World, start: Float[Array, "3"], delay: float, padding: float, max_speed: float
+) -> Candidates:
+    """Mark what cannot be a goal: outside the room, in a padded obstacle, at no usable time, out of reach.
+
+    Args:
+        start: where the plan starts [m, world].
+        delay: seconds from the prediction until the plan starts.
+        padding: clearance that a goal needs from obstacles [m].
+        max_speed: speed [m/s] above which no plan flies; farther goals are out of reach whatever the path.
+    """
+    goals, left = candidates.goals, candidates.arrival_times - delay
+    distance = jnp.sqrt(jnp.sum((goals - start) ** 2, axis=-1))
+    reasons = (
+        bit(~jnp.isfinite(goals).all(axis=-1), Reason.NONFINITE)
+        | bit(~(wall_clearance(world, goals) >= world.keep_in), Reason.GOAL_OUTSIDE)
+        | bit(~(clearance(world, goals) >= padding), Reason.GOAL_OCCUPIED)
+        | bit(~((left > 0.0) & jnp.isfinite(left)), Reason.T_GOAL_INVALID)
+        | bit(~(distance <= max_speed * left), Reason.OUT_OF_REACH)
+    )
+    return Candidates(
+        goals=goals,
+        arrival_times=candidates.arrival_times,
+        likelihood=candidates.likelihood,
+        reasons=candidates.reasons | reasons,
+    )
