@@ -1,0 +1,61 @@
+# `make demo` is all a newcomer needs. `make test PYTHON=python3.12` tests another interpreter in its own folder.
+PYTHON ?= python3
+VENV ?= $(if $(filter python3,$(PYTHON)),.venv,.venv-$(notdir $(PYTHON)))
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+OUT ?= out/demo
+PYTEST_ARGS ?=
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help demo test test-slow check format bench docs clean
+
+help:
+	@echo "make demo       install, fly one interception, draw it (under 5 minutes)"
+	@echo "make test       the fast tests (PYTHON=python3.12 for another interpreter)"
+	@echo "make test-slow  the slow tests"
+	@echo "make check      ruff and mypy"
+	@echo "make format     let ruff rewrite what it can"
+	@echo "make bench      the benchmarks, into benchmarks/results/"
+	@echo "make docs       run the code of README.md and docs/"
+	@echo "make clean      remove environments, caches and outputs"
+
+$(BIN)/python:
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: pyproject.toml | $(BIN)/python
+	$(PIP) install --quiet --editable .
+	@touch $@
+
+$(VENV)/.installed-dev: pyproject.toml | $(BIN)/python
+	$(PIP) install --quiet --editable '.[dev]'
+	@touch $@ $(VENV)/.installed
+
+demo: $(VENV)/.installed
+	$(BIN)/jaxplan intercept --require-success --out $(OUT)
+	@echo "The picture: $(OUT)/episode.png    The numbers: $(OUT)/metrics.json"
+
+test: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -m "not slow and not gpu" $(PYTEST_ARGS)
+
+test-slow: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -m "slow and not gpu" $(PYTEST_ARGS)
+
+check: $(VENV)/.installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(VENV)/.installed-dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(VENV)/.installed-dev
+	$(BIN)/python -m benchmarks
+
+docs: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest tests/integration/test_docs.py
+
+clean:
+	rm -rf .venv .venv-* build dist out .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,97 @@
+"""What a user can choose for one interception, as a frozen dataclass."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from jaxplan.errors import InputError
+
+Predictor = Literal["none", "ground-truth", "noisy", "constant-velocity"]
+Planner = Literal["no-policy"]
+
+_FASTEST_TARGET = 50.0
+"""m/s; arbitrary, far above any vehicle here: a larger value is a mistake of units."""
+_LATEST_DEPARTURE = 600.0
+"""s; arbitrary: a larger value is a mistake of units."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class InterceptConfig:
+    """One closed-loop interception."""
+
+    world: str = "env1"
+    """A stored world (env1) or a file: MJCF (.xml), surface mesh (.stl, .obj, .ply), rotorpy boxes (.json)."""
+
+    target: str | None = None
+    """A stored trajectory, or a recorded flight: t,x,y,z or timestamp tx ty tz. Default: the world's first."""
+
+    predictor: Predictor = "ground-truth"
+    """How the target's future is predicted."""
+
+    planner: Planner = "no-policy"
+    """Who allots the times between waypoints; no-policy: distance / 2.5 m/s."""
+
+    speed: float | None = None
+    """The target's maximum speed [m/s]. Default: 1 for a stored target, as recorded for a flight."""
+
+    departure: float = 0.5
+    """Time [s] at which the defender leaves its hover."""
+
+    start: tuple[float, float, float] | None = None
+    """The defender's start X Y Z [m, world]. Default: the world's own."""
+
+    seed: int = 0
+    """Seed of all noise."""
+
+    out: str = "out/intercept"
+    """Folder for the results."""
+
+    def __post_init__(self) -> None:
+        self.validate()
+
+    def validate(self) -> None:
+        """Raise ``InputError`` for a value that no run can use."""
+        _require_name("world", self.world)
+        _require_name("out", self.out)
+        if self.target is not None:
+            _require_name("target", self.target)
+        _require_choice("predictor", self.predictor, get_args(Predictor))
+        _require_choice("planner", self.planner, get_args(Planner))
+        if self.speed is not None:
+            _require_number("speed", self.speed, f"a number above 0 and at most {_FASTEST_TARGET:g} m/s")
+            if not 0.0 < self.speed <= _FASTEST_TARGET:
+                raise _refusal("speed", self.speed, f"a number above 0 and at most {_FASTEST_TARGET:g} m/s")
+        _require_number("departure", self.departure, "a time in seconds")
+        if not 0.0 <= self.departure <= _LATEST_DEPARTURE:
+            raise _refusal("departure", self.departure, f"a time from 0 to {_LATEST_DEPARTURE:g} s")
+        _require_start(self.start)
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < 2**32:
+            raise _refusal("seed", self.seed, "a whole number from 0 to 4294967295")
+
+
+def _refusal(name: str, have: object, want: str) -> InputError:
+    return InputError(f"--{name}: have {have!r}, want {want}")
+
+
+def _require_name(name: str, value: object) -> None:
+    if not isinstance(value, str) or not value.strip() or "\0" in value:
+        raise _refusal(name, value, "a name or a path")
+
+
+def _require_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
+    if value not in choices:
+        raise _refusal(name, value, f"one of {', '.join(choices)}")
+
+
+def _require_number(name: str, value: object, want: str) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise _refusal(name, value, want)
+
+
+def _require_start(start: object) -> None:
+    if start is None:
+        return
+    if not isinstance(start, tuple | list) or len(start) != 3:
+        raise _refusal("start", start, "three coordinates X Y Z in metres")
+    for coordinate in start:
+        _require_number("start", coordinate, "three finite coordinates X Y Z in metres")

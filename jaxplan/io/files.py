@@ -1,0 +1,44 @@
+"""The small formats that results are written in: JSON and TUM trajectories."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxplan.errors import InternalError
+
+TUM_HEADER = "timestamp tx ty tz qx qy qz qw"
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write ``value`` as JSON that any reader accepts: numpy values as numbers and lists, NaN and inf as null."""
+    text = json.dumps(_plain(value), indent=2, allow_nan=False, ensure_ascii=False)
+    Path(path).write_text(text + "\n", encoding="utf-8")
+
+
+def write_tum(
+    path: Path, times: Float[np.ndarray, "n"], positions: Float[np.ndarray, "n 3"], quat_wxyz: Float[np.ndarray, "n 4"]
+) -> None:
+    """Write a trajectory in TUM's format: s, m (world, z up), and the body's attitude as xyzw, space separated."""
+    table = np.column_stack([times, positions, np.roll(np.asarray(quat_wxyz, dtype=float), -1, axis=-1)])
+    if not np.isfinite(table).all():
+        raise InternalError(f"the trajectory for {Path(path).name!r} has NaN or infinite values; please report this")
+    np.savetxt(path, table, fmt="%.9f", delimiter=" ", header=TUM_HEADER, encoding="utf-8")
+
+
+def _plain(value: Any) -> Any:
+    """``value`` made of nothing but what JSON knows."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic) or hasattr(value, "__array__"):
+        return _plain(np.asarray(value).tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Path):
+        return str(value)
+    return value

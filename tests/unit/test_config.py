@@ -1,0 +1,48 @@
+"""What InterceptConfig refuses."""
+
+import math
+from typing import Any
+
+import pytest
+
+from jaxplan.config import InterceptConfig
+from jaxplan.errors import InputError
+
+BAD: list[dict[str, Any]] = [
+    {"speed": 0.0},
+    {"speed": -1.0},
+    {"speed": math.nan},
+    {"speed": math.inf},
+    {"speed": 51.0},
+    {"speed": True},
+    {"speed": "fast"},
+    {"departure": math.nan},
+    {"departure": -0.1},
+    {"departure": 1e9},
+    {"start": (1.0, 2.0)},
+    {"start": (1.0, 2.0, math.nan)},
+    {"start": "here"},
+    {"seed": -1},
+    {"seed": 2**32},
+    {"seed": 1.5},
+    {"seed": True},
+    {"world": ""},
+    {"world": "a\0b"},
+    {"target": " "},
+    {"out": ""},
+    {"predictor": "oracle"},
+    {"planner": "policy"},
+]
+
+
+@pytest.mark.parametrize("fields", BAD, ids=str)
+def test_bad_values_are_named_with_what_is_wanted(fields: dict[str, Any]) -> None:
+    (name,) = fields
+    with pytest.raises(InputError, match=rf"^--{name}: have .*, want ") as caught:
+        InterceptConfig(**fields)
+    assert "\n" not in str(caught.value)
+
+
+def test_defaults_and_good_values_pass() -> None:
+    InterceptConfig().validate()
+    InterceptConfig(speed=5.5, departure=0, start=(1, 2.0, 0.5), seed=7, target="a file.csv").validate()
