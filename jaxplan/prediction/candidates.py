@@ -1,12 +1,13 @@
 """Goal candidates: where and when the target could be met (paper, Sec. III and III-C)."""
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, UInt32
 
 from jaxplan.records import record
 from jaxplan.status import Reason, bit
 from jaxplan.world.clearance import clearance, wall_clearance
-from jaxplan.world.scene import World
+from jaxplan.world.obstacles import World
 
 
 @record
@@ -23,31 +24,28 @@ class Candidates:
 
 
 def candidates_from(
-    goals: Float[Array, "k 3"], arrival_times: Float[Array, "k"], log_likelihood: Float[Array, "k"]
+    goals: Float[np.ndarray, "k 3"], arrival_times: Float[np.ndarray, "k"], log_likelihood: Float[np.ndarray, "k"]
 ) -> Candidates:
-    """Candidates whose likelihood is relative to the best one; equal log-likelihoods all give 1."""
-    best = jnp.max(log_likelihood, initial=-jnp.inf, where=jnp.isfinite(log_likelihood))
-    likelihood = jnp.where(jnp.isfinite(log_likelihood), jnp.exp(log_likelihood - best), 0.0)
+    """Candidates whose likelihood is relative to the best one; equal log-likelihoods all give 1 (host)."""
+    finite = np.isfinite(log_likelihood)
+    best = np.max(log_likelihood, initial=-np.inf, where=finite)
+    likelihood = np.where(finite, np.exp(np.where(finite, log_likelihood - best, 0.0)), 0.0)
     return Candidates(
-        goals=goals,
-        arrival_times=arrival_times,
-        likelihood=likelihood,
-        reasons=jnp.zeros(goals.shape[0], jnp.uint32),
+        goals=goals, arrival_times=arrival_times, likelihood=likelihood, reasons=np.zeros(len(goals), np.uint32)
     )
 
 
 def reject_early(
-    candidates: Candidates, world: World, start: Float[Array, "3"], delay: float, padding: float, max_speed: float
+    candidates: Candidates, world: World, start: Float[Array, "3"], padding: float, max_speed: float
 ) -> Candidates:
     """Mark what cannot be a goal: outside the room, in a padded obstacle, at no usable time, out of reach.
 
     Args:
-        start: where the plan starts [m, world].
-        delay: seconds from the prediction until the plan starts.
+        start: where the plan starts [m, world]; arrival times count from that instant.
         padding: clearance that a goal needs from obstacles [m].
         max_speed: speed [m/s] above which no plan flies; farther goals are out of reach whatever the path.
     """
-    goals, left = candidates.goals, candidates.arrival_times - delay
+    goals, left = candidates.goals, candidates.arrival_times
     distance = jnp.sqrt(jnp.sum((goals - start) ** 2, axis=-1))
     reasons = (
         bit(~jnp.isfinite(goals).all(axis=-1), Reason.NONFINITE)

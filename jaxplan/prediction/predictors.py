@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxplan.errors import InputError
-from jaxplan.numerics import in_float64
 from jaxplan.prediction.candidates import Candidates, candidates_from
 from jaxplan.prediction.observations import Observations
 
@@ -85,12 +84,10 @@ def build_predictor(name: str, config: PredictionConfig, truth: Trajectory, seed
     return known[name]
 
 
-@in_float64
 def _certain(positions: Float[np.ndarray, "n 3"], offsets: Float[np.ndarray, "n"]) -> Candidates:
     return candidates_from(positions, offsets, np.zeros(len(offsets)))
 
 
-@in_float64
 def _sampled(
     means: Float[np.ndarray, "n 3"],
     deviations: Float[np.ndarray, "n"],

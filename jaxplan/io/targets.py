@@ -1,0 +1,114 @@
+"""Target motions: trajectories stored with a world, and recorded flights, both as functions of time.
+
+A stored trajectory is a list of waypoints and durations; its minimum-snap spline is solved when it is read.
+"""
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from scipy.interpolate import PchipInterpolator
+
+from jaxplan.errors import FileError, InputError
+from jaxplan.io.target_log import read_target_log, resample
+from jaxplan.minsnap.problem import minimum_snap
+
+DEFAULT_SPEED = 1.0
+"""Maximum speed [m/s] of a stored target when none is asked for."""
+_STORED = Path(__file__).parent.parent / "world" / "environments"
+_SPEED_SAMPLES = 0.02
+"""Interval [s] at which the maximum speed is sampled."""
+_LOG_INTERVAL = 0.05
+"""Recorded flights are resampled at this interval [s], so that sensor noise does not pass for speed."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Target:
+    """A target's motion over [0, duration]; outside it is held at its ends."""
+
+    name: str
+    duration: float
+    """Seconds, at the chosen speed."""
+    max_speed: float
+    """Metres per second, at the chosen speed."""
+    warnings: tuple[str, ...]
+    """What is odd about the recording."""
+    motion: Callable[[Float[np.ndarray, "n"], int], Float[np.ndarray, "n 3"]]
+    """The derivative (0 position, 1 velocity) at given times of the unscaled motion."""
+    rate: float
+    """Seconds of unscaled motion in a second."""
+
+    def position(self, times: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 3"]:
+        """Metres, world."""
+        return self.motion(np.clip(np.asarray(times) * self.rate, 0.0, self.duration * self.rate), 0)
+
+    def velocity(self, times: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 3"]:
+        """Metres per second, world; 0 outside the motion."""
+        times = np.asarray(times)
+        inside = (times >= 0.0) & (times <= self.duration)
+        clipped = np.clip(times * self.rate, 0.0, self.duration * self.rate)
+        return self.rate * self.motion(clipped, 1) * inside[..., None]
+
+
+def stored_targets(world: str) -> list[str]:
+    """Names of the trajectories stored for a world, in order; none for a world from a file."""
+    path = _STORED / f"{world}_targets.json"
+    return list(json.loads(path.read_text())["trajectories"]) if path.is_file() else []
+
+
+def load_target(name_or_path: str | None, *, world: str, speed: float | None = None) -> Target:
+    """A stored trajectory of ``world`` by name (its first when None), or a recorded flight by path.
+
+    Args:
+        speed: maximum speed [m/s] after time-scaling; 1 m/s for stored trajectories and as recorded for flights
+            when None.
+
+    Raises:
+        InputError: the name is unknown, the speed is not positive, or the target never moves.
+        FileError: the file cannot be used.
+    """
+    names = stored_targets(world)
+    if speed is not None and not 0.0 < speed < float("inf"):
+        raise InputError(f"target: the speed is {speed} m/s, want a positive number")
+    if name_or_path is None and not names:
+        raise InputError(f"target: world {world!r} has no stored trajectories; give --target a recorded flight")
+    if name_or_path is None or name_or_path in names:
+        return _stored(world, name_or_path or names[0], DEFAULT_SPEED if speed is None else speed)
+    path = Path(name_or_path)
+    if not path.suffix and not path.exists():
+        known = f"want one of {', '.join(names)} or a file" if names else "want a file"
+        raise InputError(f"target: unknown name {name_or_path!r}, {known}")
+    return _recorded(path, speed)
+
+
+def _stored(world: str, name: str, speed: float) -> Target:
+    table = json.loads((_STORED / f"{world}_targets.json").read_text())["trajectories"][name]
+    spline = minimum_snap(np.array(table["waypoints"]), np.array(table["durations"]))
+
+    def motion(times: Float[np.ndarray, "n"], derivative: int) -> Float[np.ndarray, "n 3"]:
+        return spline.evaluate(times, derivative)[..., :3]
+
+    return _scaled(name, float(spline.duration), motion, speed, ())
+
+
+def _recorded(path: Path, speed: float | None) -> Target:
+    log = read_target_log(path)
+    even = resample(log, min(_LOG_INTERVAL, log.report.duration / 2.0))
+    curve = PchipInterpolator(even.times - even.times[0], even.positions, axis=0)
+    duration = float(even.times[-1] - even.times[0])
+    return _scaled(path.stem, duration, lambda times, derivative: curve(times, derivative), speed, log.report.warnings())
+
+
+def _scaled(
+    name: str, duration: float, motion: Callable, speed: float | None, warnings: tuple[str, ...] | list[str]
+) -> Target:
+    """Stretch time so that the fastest instant has the wanted speed."""
+    times = np.linspace(0.0, duration, max(3, int(duration / _SPEED_SAMPLES)))
+    fastest = float(np.linalg.norm(motion(times, 1), axis=1).max())
+    if speed is not None and fastest <= 0.0:
+        raise InputError(f"target {name!r} never moves, so it has no speed to scale; leave --speed out")
+    rate = 1.0 if speed is None else speed / fastest
+    return Target(name, duration / rate, fastest * rate, tuple(warnings), motion, rate)

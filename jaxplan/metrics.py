@@ -1,0 +1,82 @@
+"""The numbers of an episode, as they stand in ``metrics.json``."""
+
+from typing import Any
+
+import numpy as np
+
+from jaxplan.interception import Episode
+from jaxplan.status import PlanStatus
+from jaxplan.versions import installed_versions
+
+
+def episode_metrics(episode: Episode) -> dict[str, Any]:
+    """Outcome, errors, margins, times of the replans and what became of the candidates; plain JSON types."""
+    flight, scenario = episode.flight, episode.scenario
+    apart = np.linalg.norm(flight.position - flight.target, axis=1)
+    end = float(flight.times[-1])
+    return {
+        "success": episode.success,
+        "outcome": episode.outcome,
+        "time_to_intercept_s": end - scenario.departure if episode.success else None,
+        "end_time_s": end,
+        "departure_s": scenario.departure,
+        "min_distance_m": float(apart.min()),
+        "max_position_error_m": float(flight.position_error.max()),
+        "max_yaw_error_deg": float(np.degrees(flight.yaw_error.max())),
+        "min_clearance_m": float(flight.clearance.min()),
+        "max_speed_m_s": float(np.linalg.norm(flight.velocity, axis=1).max()),
+        "target": {
+            "name": scenario.target.name,
+            "max_speed_m_s": scenario.target.max_speed,
+            "warnings": list(scenario.target.warnings),
+        },
+        "replans": len(episode.cycles),
+        "replan_status": _statuses(episode),
+        "replan_ms": _times(episode),
+        "late_replans": sum(sum(c.stage_ms.values()) > 1e3 * scenario.replanner.config.latency for c in episode.cycles),
+        "compile_s": episode.warmup_s,
+        "compilations_after_warmup": episode.compilations_after_warmup,
+        "wall_s": episode.wall_s,
+        "wall_over_simulated": episode.wall_s / end,
+        "switch_jump": _jumps(episode),
+        "candidates": _candidates(episode),
+        "seed": scenario.seed,
+        "versions": installed_versions(),
+    }
+
+
+def _statuses(episode: Episode) -> dict[str, int]:
+    """Cycles by what they came to."""
+    values = [cycle.status for cycle in episode.cycles]
+    return {status.name.lower(): values.count(status) for status in PlanStatus if status in values}
+
+
+def _times(episode: Episode) -> dict[str, dict[str, float]]:
+    """Wall time of the replans [ms], in total and per station; cycles without a station count 0 for it."""
+    rows = [cycle.stage_ms for cycle in episode.cycles]
+    if not rows:
+        return {}
+    stages = list(dict.fromkeys(stage for row in rows for stage in row))
+    columns = {"total": [sum(row.values()) for row in rows]}
+    columns |= {stage: [row.get(stage, 0.0) for row in rows] for stage in stages}
+    return {
+        name: {"p50": float(np.percentile(ms, 50)), "p99": float(np.percentile(ms, 99)), "max": float(np.max(ms))}
+        for name, ms in columns.items()
+    }
+
+
+def _jumps(episode: Episode) -> dict[str, float]:
+    """Largest discontinuity of the commanded trajectory over all switches: SI, and snap relative to its size."""
+    jumps = [cycle.jump for cycle in episode.cycles if cycle.jump is not None]
+    worst = np.max(jumps, axis=0) if jumps else np.zeros(5)
+    names = ("position_m", "velocity_m_s", "acceleration_m_s2", "jerk_m_s3", "snap_relative")
+    return dict(zip(names, (float(value) for value in worst), strict=True))
+
+
+def _candidates(episode: Episode) -> dict[str, Any]:
+    """Candidates generated over all cycles, and how many of them carry each reason."""
+    rejected: dict[str, int] = {}
+    for cycle in episode.cycles:
+        for reason, count in cycle.rejected.items():
+            rejected[reason] = rejected.get(reason, 0) + count
+    return {"generated": sum(cycle.generated for cycle in episode.cycles), "rejected": rejected}

@@ -1,0 +1,90 @@
+"""A batch of splines in the solver's own layout (batch axis last), from waypoints and durations to samples."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxplan.minsnap import hermite
+from jaxplan.minsnap.problem import POSITION_ORDER, YAW_ORDER, interpolate
+from jaxplan.numerics import wrap_angle
+from jaxplan.records import record
+from jaxplan.spline import FlatState, PiecewisePolynomial
+
+SLOWEST_HEADING = 0.2
+"""Horizontal speed [m/s] below which a velocity has no heading to follow (arbitrary)."""
+
+
+@record
+class SplineBatch:
+    """k splines of up to m segments; durations of 0 mark padding, whose position is the goal."""
+
+    durations: Float[Array, "m k"]
+    position: Float[Array, "m 10 3 k"]
+    yaw: Float[Array, "m 6 1 k"]
+
+    def spline(self, index: int) -> PiecewisePolynomial:
+        """One of the splines on its own, in NumPy float64, without its padding (host)."""
+        durations = np.asarray(self.durations)[:, index]
+        real = durations > 0.0
+        return PiecewisePolynomial(
+            durations=durations[real],
+            position=np.asarray(self.position)[real][..., index],
+            yaw=np.asarray(self.yaw)[real][:, :, 0, index],
+        )
+
+    def derivatives(self, s: np.ndarray) -> Float[Array, "m s 5 3 k"]:
+        """Position to snap at the normalised times ``s`` of every segment; derivatives are 0 on padding."""
+        segments, width, axes, lanes = self.position.shape
+        flat = self.position.reshape(segments, width, axes * lanes)
+        rate = jnp.where(self.durations > 0.0, 1.0 / jnp.where(self.durations > 0.0, self.durations, 1.0), 0.0)
+        values = []
+        for derivative in range(5):
+            table = jnp.asarray(hermite.derivative_table(POSITION_ORDER, s, derivative), flat.dtype)
+            sampled = jnp.matmul(table, flat).reshape(segments, len(s), axes, lanes)
+            values.append(sampled * (rate**derivative)[:, None, None])
+        return jnp.stack(values, axis=2)
+
+    def yaw_derivatives(self, s: np.ndarray) -> Float[Array, "m s 3 k"]:
+        """Yaw, yaw rate and yaw acceleration at the normalised times ``s`` of every segment."""
+        rate = jnp.where(self.durations > 0.0, 1.0 / jnp.where(self.durations > 0.0, self.durations, 1.0), 0.0)
+        values = []
+        for derivative in range(3):
+            table = jnp.asarray(hermite.derivative_table(YAW_ORDER, s, derivative), self.yaw.dtype)
+            values.append(jnp.matmul(table, self.yaw[:, :, 0]) * (rate**derivative)[:, None])
+        return jnp.stack(values, axis=2)
+
+
+def fit(
+    state: FlatState, waypoints: Float[Array, "m+1 3 k"], durations: Float[Array, "m k"], max_yaw_rate: float
+) -> SplineBatch:
+    """Minimum-snap splines from one flat state through each lane's waypoints to rest at its goal.
+
+    The first waypoint is the state's own position. Yaw follows the path's heading at the waypoints, held
+    where the vehicle is slow, and turns by at most ``max_yaw_rate`` [rad/s] on average over a segment.
+    """
+    lanes = waypoints.shape[-1]
+    points = waypoints.at[0].set(jnp.broadcast_to(state.pos[:, None], waypoints.shape[1:]))
+    initial = jnp.broadcast_to(state.derivatives[1:, :, None], (POSITION_ORDER, 3, lanes))
+    position, knots = interpolate(durations, points, initial)
+    headings = _headings(state.yaw[0], knots[:, 0, :2], durations, max_yaw_rate)
+    turning = jnp.broadcast_to(state.yaw[1:, None, None], (YAW_ORDER, 1, lanes))
+    yaw, _ = interpolate(durations, headings[:, None], turning)
+    return SplineBatch(durations=durations, position=position, yaw=yaw)
+
+
+def _headings(
+    start: Float[Array, ""], velocity: Float[Array, "m+1 2 k"], durations: Float[Array, "m k"], max_rate: float
+) -> Float[Array, "m+1 k"]:
+    """Unwrapped yaw [rad] at the knots: the direction of the horizontal velocity, rate-limited."""
+
+    def turn(yaw: Float[Array, "k"], knot: tuple) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
+        velocity, duration = knot
+        moving = velocity[0] ** 2 + velocity[1] ** 2 > SLOWEST_HEADING**2
+        wanted = wrap_angle(jnp.where(moving, jnp.arctan2(velocity[1], velocity[0]) - yaw, 0.0))
+        following = yaw + jnp.clip(wanted, -max_rate * duration, max_rate * duration)
+        return following, following
+
+    first = jnp.broadcast_to(start, durations.shape[1:])
+    _, rest = jax.lax.scan(turn, first, (velocity[1:], durations))
+    return jnp.concatenate([first[None], rest])

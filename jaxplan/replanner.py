@@ -1,0 +1,189 @@
+"""The host loop around the planner: one committed plan, replaced only by better ones and never with a jump.
+
+A cycle at time t plans from where the committed plan will be at t + latency, with all derivatives to snap, so the
+switch is smooth. Every plan ends at rest, so whatever happens to later cycles the vehicle comes to a stop.
+
+In order of preference a cycle commits the best plan that meets the target; keeps the committed one while that
+still does, and sooner; approaches the target; keeps what is committed. The paper's fallback (take the latest
+candidate although it cannot be flown in time) is not one of them: see ``docs/decisions/0004-selection.md``.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxplan.errors import InputError
+from jaxplan.planner import Planner, Plans, Timer, select
+from jaxplan.prediction.candidates import Candidates
+from jaxplan.prediction.observations import Observations
+from jaxplan.prediction.predictors import Predictor
+from jaxplan.records import replace
+from jaxplan.spline import FlatState, PiecewisePolynomial
+from jaxplan.status import PlanStatus, count_reasons
+
+
+@dataclasses.dataclass(frozen=True)
+class ReplannerConfig:
+    """Timing of the loop."""
+
+    period: float = 0.1
+    """Seconds between two cycles (paper: about 10 Hz)."""
+    latency: float = 0.1
+    """Seconds from a cycle's observations until its plan takes over; a longer computation counts as late."""
+    keep_radius: float = 0.2
+    """A committed interception stays one while the target is still predicted this close [m] to its goal."""
+
+    def __post_init__(self) -> None:
+        for name in ("period", "latency", "keep_radius"):
+            if not 0.0 < getattr(self, name) < float("inf"):
+                raise InputError(f"replanner: {name} is {getattr(self, name)}, want a positive number")
+
+
+class CommittedPlan(NamedTuple):
+    """A trajectory that the vehicle follows from ``start_time`` until the next one takes over."""
+
+    start_time: float
+    """Seconds on the episode's clock."""
+    spline: PiecewisePolynomial
+    goal: Float[np.ndarray, "3"]
+    arrival_time: float
+    """When the target is expected at the goal [s]; for an approach the vehicle arrives later."""
+    alpha: float
+    status: PlanStatus
+
+
+class Cycle(NamedTuple):
+    """What one replan cycle did."""
+
+    time: float
+    status: PlanStatus
+    plans: Plans
+    """Every candidate of the cycle with its reasons."""
+    chosen: int
+    """Index in ``plans`` of what was committed, -1 when the old plan was kept."""
+    stage_ms: dict[str, float]
+    generated: int
+    rejected: dict[str, int]
+    """Candidates per reason; one candidate may have several."""
+    jump: Float[np.ndarray, "5"] | None
+    """Discontinuity of position to jerk [SI] and of snap (relative) at the switch; None without a new plan."""
+
+
+class Replanner:
+    """Holds the committed plans and adds to them, one ``step`` at a time."""
+
+    def __init__(
+        self, planner: Planner, predictor: Predictor, start: FlatState, config: ReplannerConfig = ReplannerConfig()
+    ) -> None:
+        self.config = config
+        self.planner = planner
+        self._predictor = predictor
+        self.plans: list[CommittedPlan] = [_hold(start)]
+        self._cycles = 0
+
+    @property
+    def ever_planned(self) -> bool:
+        """Whether any plan was committed after the initial hover."""
+        return len(self.plans) > 1
+
+    @property
+    def committed(self) -> CommittedPlan:
+        """The newest plan, which may not have taken over yet."""
+        return self.plans[-1]
+
+    def reference(self, times: Float[np.ndarray, "n"]) -> FlatState:
+        """The commanded flat state at ``times`` [s], each from the plan in force then."""
+        times = np.asarray(times, dtype=float)
+        starts = np.array([plan.start_time for plan in self.plans])
+        active = np.searchsorted(starts, times, side="right") - 1
+        derivatives, yaw = np.empty((len(times), 5, 3)), np.empty((len(times), 3))
+        for index in np.unique(active):
+            plan, mine = self.plans[index], active == index
+            state = plan.spline.state(times[mine] - plan.start_time)
+            derivatives[mine], yaw[mine] = state.derivatives, state.yaw
+        return FlatState(derivatives=derivatives, yaw=yaw)
+
+    def step(self, now: float, observations: Observations) -> Cycle:
+        """Predict, plan and decide at time ``now`` [s] from the newest observations."""
+        timer = Timer()
+        takeover = now + self.config.latency
+        state = _only(self.reference(np.array([takeover])))
+        predicted = self._predictor(observations, self._cycles)
+        self._cycles += 1
+        candidates = replace(predicted, arrival_times=np.asarray(predicted.arrival_times) - self.config.latency)
+        timer.lap("predict", predicted)
+        plans = self.planner.plan_batch(state, candidates, timer)
+        status, chosen, shown = self._decide(state, candidates, plans, takeover, timer)
+        jump = self._commit(shown, chosen, takeover, status, state) if chosen >= 0 else None
+        timer.lap("select")
+        return Cycle(
+            time=now,
+            status=status,
+            plans=plans,
+            chosen=chosen if shown is plans else -1,
+            stage_ms=timer.stages,
+            generated=len(plans.reasons),
+            rejected=count_reasons(plans.reasons),
+            jump=jump,
+        )
+
+    def _decide(
+        self, state: FlatState, candidates: Candidates, plans: Plans, takeover: float, timer: Timer
+    ) -> tuple[PlanStatus, int, Plans]:
+        """The ladder: a better interception, the committed one, an approach, whatever is committed."""
+        best, incumbent = select(plans), self._incumbent_score(candidates, takeover)
+        if best >= 0 and plans.score[best] > incumbent:
+            return PlanStatus.INTERCEPT, best, plans
+        if np.isfinite(incumbent):
+            return PlanStatus.KEPT_COMMITTED, -1, plans
+        approach = self.planner.approach(state, candidates, timer)
+        best = select(approach)
+        if best >= 0:
+            return PlanStatus.APPROACH, best, approach
+        usable = bool((plans.reasons == 0).any()) or len(approach.reasons) > 0
+        return (PlanStatus.KEPT_COMMITTED if usable else PlanStatus.NO_CANDIDATE), -1, plans
+
+    def _incumbent_score(self, candidates: Candidates, takeover: float) -> float:
+        """Score of the committed interception among today's candidates; -inf when it no longer meets the target."""
+        plan = self.committed
+        remaining = plan.arrival_time - takeover
+        if plan.status is not PlanStatus.INTERCEPT or remaining <= 0.0:
+            return -np.inf
+        apart = np.linalg.norm(np.asarray(candidates.goals) - plan.goal, axis=-1)
+        simultaneous = np.abs(np.asarray(candidates.arrival_times) - remaining) < 0.5 * self.config.period + 1e-6
+        same = simultaneous & (apart <= self.config.keep_radius)
+        if not same.any():
+            return -np.inf
+        nearest = int(np.argmin(np.where(same, apart, np.inf)))
+        return self.planner.config.likelihood_weight * float(candidates.likelihood[nearest]) - remaining
+
+    def _commit(
+        self, plans: Plans, chosen: int, takeover: float, status: PlanStatus, state: FlatState
+    ) -> Float[np.ndarray, "5"]:
+        spline = plans.spline(chosen)
+        plan = CommittedPlan(
+            start_time=takeover,
+            spline=spline,
+            goal=plans.goals[chosen],
+            arrival_time=takeover + float(plans.arrival_times[chosen]),
+            alpha=float(plans.alpha[chosen]),
+            status=status,
+        )
+        self.plans.append(plan)
+        jump = np.abs(spline.state(0.0).derivatives - state.derivatives).max(axis=-1)
+        jump[4] /= max(float(np.abs(state.snap).max()), 1.0)
+        return jump
+
+
+def _hold(state: FlatState) -> CommittedPlan:
+    """Stay at rest where ``state`` is, from the beginning of time."""
+    position, yaw = np.zeros((1, 10, 3)), np.zeros((1, 6))
+    position[0, 0], yaw[0, 0] = state.pos, state.yaw[0]
+    spline = PiecewisePolynomial(durations=np.ones(1), position=position, yaw=yaw)
+    return CommittedPlan(-np.inf, spline, np.asarray(state.pos), np.inf, np.nan, PlanStatus.NOT_SET)
+
+
+def _only(states: FlatState) -> FlatState:
+    return FlatState(derivatives=states.derivatives[0], yaw=states.yaw[0])

@@ -1,0 +1,141 @@
+"""Checks on planned trajectories as reason bits, and the paper's choice among those that pass (eq. 9)."""
+
+import dataclasses
+from math import comb
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, UInt32
+
+from jaxplan.errors import InputError
+from jaxplan.minsnap.batch import SplineBatch
+from jaxplan.numerics import safe_norm
+from jaxplan.records import record
+from jaxplan.spline import FlatState
+from jaxplan.status import Reason, bit
+from jaxplan.vehicle.limits import rotor_limit_margin
+from jaxplan.vehicle.params import Vehicle
+from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.world.obstacles import World
+
+
+@dataclasses.dataclass(frozen=True)
+class CheckConfig:
+    """What a trajectory must satisfy to be committed."""
+
+    max_deviation: float = 0.5
+    """delta_max [m]: largest distance from the searched path (paper, Sec. IV)."""
+    tracking_margin: float = 0.1
+    """Clearance [m] beyond the vehicle's own radius, for the tracking error."""
+    samples_per_segment: int = 16
+    """Pieces into which the clearance check cuts a segment; more pieces give a tighter bound."""
+
+    def __post_init__(self) -> None:
+        if not self.max_deviation > 0.0:
+            raise InputError(f"checks: max_deviation is {self.max_deviation} m, want a positive number")
+        if not self.tracking_margin >= 0.0:
+            raise InputError(f"checks: tracking_margin is {self.tracking_margin} m, want 0 or more")
+        if not 2 <= self.samples_per_segment <= 256:
+            raise InputError(f"checks: samples_per_segment is {self.samples_per_segment}, want 2 to 256")
+
+
+@record
+class Margins:
+    """How far each trajectory is from what it must not exceed; one lane per candidate."""
+
+    deviation: Float[Array, "k"]
+    """Largest distance [m] from the searched path, at equal shares of arc length."""
+    clearance: Float[Array, "k"]
+    """Lower bound [m] of the distance to obstacles and to the room's faces, anywhere on the trajectory."""
+    rotor_speed: Float[Array, "k"]
+    """Distance [rad/s] of the worst rotor from its nearest limit, over the samples."""
+    reasons: UInt32[Array, "k"]
+
+
+def check(
+    splines: SplineBatch, paths: Float[Array, "p 3 k"], world: World, vehicle: Vehicle, config: CheckConfig
+) -> Margins:
+    """Deviation, clearance and rotor limits of every spline.
+
+    Args:
+        paths: the searched paths, resampled at uniform arc length.
+    """
+    count = config.samples_per_segment
+    middles = (np.arange(count) + 0.5) / count
+    samples = splines.derivatives(middles)
+    deviation = _deviation(samples[:, :, 0], paths)
+    clear = _clearance_bound(samples, splines, count, world)
+    rotors = _rotor_margin(splines, samples, middles, vehicle)
+    finite = jnp.isfinite(splines.position).all(axis=(0, 1, 2)) & jnp.isfinite(splines.yaw).all(axis=(0, 1, 2))
+    reasons = (
+        bit(~finite, Reason.NONFINITE)
+        | bit(~(deviation < config.max_deviation), Reason.DEVIATION)
+        | bit(~(clear >= vehicle.radius + config.tracking_margin), Reason.CLEARANCE)
+        | bit(~(rotors >= 0.0), Reason.LIMITS)
+    )
+    return Margins(deviation=deviation, clearance=clear, rotor_speed=rotors, reasons=reasons)
+
+
+def select(score: Float[np.ndarray, "k"], reasons: UInt32[np.ndarray, "k"]) -> int:
+    """Index of the best usable candidate, -1 when there is none; a NaN score never wins (host)."""
+    usable = (np.asarray(reasons) == 0) & np.isfinite(score)
+    return int(np.argmax(np.where(usable, score, -np.inf))) if usable.any() else -1
+
+
+def _deviation(positions: Float[Array, "m s 3 k"], paths: Float[Array, "p 3 k"]) -> Float[Array, "k"]:
+    """Largest distance between points at the same share of arc length on the spline and on its path."""
+    points = positions.reshape(-1, *positions.shape[2:])
+    steps = safe_norm(jnp.diff(points, axis=0, prepend=paths[:1]), axis=1)
+    travelled = jnp.cumsum(steps, axis=0)
+    share = travelled / jnp.maximum(travelled[-1], 1e-9)
+    place = share * (paths.shape[0] - 1)
+    low = jnp.clip(jnp.nan_to_num(jnp.floor(place)), 0, paths.shape[0] - 2).astype(jnp.int32)[:, None]
+    weight = place[:, None] - low
+    before, after = jnp.take_along_axis(paths, low, axis=0), jnp.take_along_axis(paths, low + 1, axis=0)
+    return jnp.max(safe_norm(points - before * (1.0 - weight) - after * weight, axis=1), axis=0)
+
+
+def _clearance_bound(
+    samples: Float[Array, "m s 5 3 k"], splines: SplineBatch, pieces: int, world: World
+) -> Float[Array, "k"]:
+    """Least clearance anywhere on each trajectory, from below.
+
+    Within half a piece h of its middle the position moves at most |v| h + a h^2 / 2, where a bounds the
+    acceleration on the segment; distance to obstacles changes no faster than position (Lipschitz).
+    """
+    points = jnp.moveaxis(samples[:, :, 0], 2, -1)
+    free = jnp.minimum(clearance(world, points), wall_clearance(world, points))
+    half = 0.5 * splines.durations / pieces
+    speed = safe_norm(samples[:, :, 1], axis=2)
+    reach = speed * half[:, None] + (0.5 * _acceleration_bound(splines) * half**2)[:, None]
+    return jnp.min(jnp.where((splines.durations > 0.0)[:, None], free - reach, jnp.inf), axis=(0, 1))
+
+
+def _acceleration_bound(splines: SplineBatch) -> Float[Array, "m k"]:
+    """An upper bound [m/s^2] of the acceleration on each segment: its control points span it (Bernstein hull)."""
+    second = _second_derivative_control_points(splines.position.shape[1])
+    points = jnp.einsum("cn,mndk->mcdk", jnp.asarray(second, splines.position.dtype), splines.position)
+    rate = jnp.where(splines.durations > 0.0, 1.0 / jnp.where(splines.durations > 0.0, splines.durations, 1.0), 0.0)
+    return jnp.max(safe_norm(points, axis=2), axis=1) * rate**2
+
+
+def _second_derivative_control_points(coefficients: int) -> np.ndarray:
+    """Map from ascending coefficients to the Bernstein coefficients of the second derivative, both on [0, 1]."""
+    degree = coefficients - 3
+    table = np.zeros((degree + 1, coefficients))
+    for point in range(degree + 1):
+        for power in range(point + 1):
+            table[point, power + 2] = (power + 2) * (power + 1) * comb(point, power) / comb(degree, power)
+    return table
+
+
+def _rotor_margin(
+    splines: SplineBatch, samples: Float[Array, "m s 5 3 k"], middles: np.ndarray, vehicle: Vehicle
+) -> Float[Array, "k"]:
+    """Worst rotor margin over every second sample of each trajectory."""
+    state = FlatState(derivatives=samples[:, ::2], yaw=splines.yaw_derivatives(middles[::2]))
+    one = jax.vmap(lambda state: rotor_limit_margin(vehicle, state), in_axes=-1, out_axes=-1)
+    margins = jax.vmap(jax.vmap(one))(state)
+    real = jnp.broadcast_to((splines.durations > 0.0)[:, None], margins.shape)
+    return jnp.min(jnp.where(real, margins, jnp.inf), axis=(0, 1))

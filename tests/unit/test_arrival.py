@@ -1,0 +1,92 @@
+"""The alpha iteration against synthetic allocations whose answer is known, and allocations that defeat the paper's."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxplan.arrival import ArrivalConfig, match_arrival, scale_derivatives
+from jaxplan.errors import InputError
+from jaxplan.status import Reason
+
+CONFIG = ArrivalConfig()
+
+
+def solve(elasticity, least, arrival_times, config=CONFIG):
+    """One lane per entry: total time least * alpha^elasticity before slowing, split over two segments."""
+    elasticity, least = jnp.asarray(elasticity), jnp.asarray(least)
+
+    def decode(initial):
+        alpha = initial[0, 0]
+        return _split(least * alpha**elasticity)
+
+    initial = np.zeros((4, 3))
+    initial[0, 0] = 1.0
+    with jax.enable_x64(True):
+        return jax.jit(lambda d, t: match_arrival(decode, d, t, config))(initial, np.asarray(arrival_times, dtype=float))
+
+
+def _split(total):
+    return jnp.stack([0.25 * total, 0.75 * total])
+
+
+@pytest.mark.parametrize("elasticity", [-0.95, -0.9, -0.5, 0.0, 0.5, 2.0])
+def test_meets_the_arrival_time_whatever_the_elasticity(elasticity):
+    """T(alpha) = least * alpha^(1 + elasticity); the paper's iteration crawls or oscillates near -1 and diverges beyond 1."""
+    goals = np.array([1.0, 1.001, 1.5, 2.0])
+    with jax.enable_x64(True):
+        result = solve(np.full(4, elasticity), np.ones(4), goals)
+    flagged = np.asarray(result.reasons) & int(Reason.ALPHA_NOT_CONVERGED) > 0
+    met = np.abs(np.asarray(result.durations).sum(axis=0) / goals - 1.0) < 1e-12
+    assert (met | flagged).all()
+    if elasticity >= -0.5:
+        np.testing.assert_allclose(result.alpha, goals ** (1.0 / (1.0 + elasticity)), rtol=5e-3)
+        assert met.all()
+    assert int(np.max(result.calls)) <= CONFIG.max_calls
+
+
+def test_allocation_that_ignores_the_state_needs_one_step():
+    with jax.enable_x64(True):
+        result = solve(np.zeros(3), np.array([1.0, 2.0, 0.1]), [1.0, 5.0, 3.0])
+    np.testing.assert_allclose(result.alpha, [1.0, 2.5, 30.0], rtol=1e-12)
+    assert list(result.calls) == [1, 2, 2]
+    assert not np.asarray(result.reasons).any()
+
+
+def test_unreachable_and_invalid_lanes_leave_their_neighbours_alone():
+    with jax.enable_x64(True):
+        alone = solve(np.array([0.5]), np.ones(1), [2.0])
+        mixed = solve(np.full(5, 0.5), np.array([1.0, 3.0, 1.0, 1.0, np.nan]), [2.0, 2.0, np.nan, -1.0, 2.0])
+    assert mixed.alpha[0] == alone.alpha[0]
+    reasons = np.asarray(mixed.reasons)
+    assert reasons[0] == 0
+    assert (reasons[1:] != 0).all()
+    np.testing.assert_allclose(mixed.alpha[1], 2.0 / 3.0)
+    assert list(np.asarray(mixed.calls)[1:]) == [1, 1, 1, 1]
+
+
+def test_iterations_are_bounded():
+    """An allocation that jumps over the goal has no root: flagged after exactly max_calls, never a false success."""
+
+    def decode(initial):
+        return jnp.where(initial[0, 0] < 2.0, 0.5, 2.0)[None]
+
+    initial = np.zeros((4, 3))
+    initial[0, 0] = 1.0
+    with jax.enable_x64(True):
+        result = match_arrival(decode, jnp.asarray(initial), jnp.array([2.0]), ArrivalConfig(max_calls=9))
+    assert int(result.calls[0]) == 9
+    assert int(result.reasons[0]) == Reason.ALPHA_NOT_CONVERGED
+
+
+def test_scaling_follows_the_order_of_the_derivative():
+    with jax.enable_x64(True):
+        scaled = scale_derivatives(np.ones((4, 3)), np.array([1.0, 2.0]))
+    np.testing.assert_allclose(scaled[:, 0, 1], [2.0, 4.0, 8.0, 16.0])
+
+
+def test_configuration_is_checked():
+    with pytest.raises(InputError, match="tolerance"):
+        ArrivalConfig(tolerance=0.0)
+    with pytest.raises(InputError, match="max_calls"):
+        ArrivalConfig(max_calls=1)
