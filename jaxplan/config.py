@@ -20,7 +20,7 @@ class InterceptConfig:
     """One closed-loop interception."""
 
     world: str = "env1"
-    """A stored world (env1) or a file: MJCF (.xml), surface mesh (.stl, .obj, .ply), rotorpy boxes (.json)."""
+    """A stored world (env1) or a file: MJCF (.xml), surface mesh (.stl), rotorpy boxes (.json)."""
 
     target: str | None = None
     """A stored trajectory, or a recorded flight: t,x,y,z or timestamp tx ty tz. Default: the world's first."""

@@ -14,7 +14,7 @@ REPORTED = ("jaxplan", "jax", "jaxlib", "flax", "numpy", "scipy", "mujoco", "muj
 """The packages whose versions decide a result, in the order they are reported."""
 
 _OLDEST_JAX = (0, 9, 2)
-_KNOWN_BAD = {
+_KNOWN_BAD: dict[tuple[int, ...], str] = {
     (0, 10): "hangs in batched linear algebra or computes wrong numbers silently (jax#39103)",
     (0, 11): "crashes (jax#39257) or runs long scans thousands of times too slowly (jax#40101)",
 }

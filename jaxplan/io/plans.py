@@ -8,7 +8,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from jaxplan.interception import CommittedPlan
+    from jaxplan.replanner import CommittedPlan
 
 
 def write_plans(path: Path, plans: "Sequence[CommittedPlan]") -> None:

@@ -1,0 +1,59 @@
+"""The candidates of one replan cycle as curves to draw."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxplan.status import PlanStatus
+
+if TYPE_CHECKING:
+    from jaxplan.replanner import Cycle
+
+
+@dataclass(frozen=True)
+class CandidateCurves:
+    """Every candidate of one cycle, and the trajectories of those that got one; world frame, metres."""
+
+    time: float
+    """When the cycle was [s]."""
+    goals: Float[np.ndarray, "k 3"]
+    usable: Bool[np.ndarray, "k"]
+    curves: Float[np.ndarray, "n s 3"]
+    curve_usable: Bool[np.ndarray, "n"]
+    chosen: Float[np.ndarray, "s 3"] | None
+    """The curve that was committed."""
+
+
+def illustrative_cycle(cycles: "Sequence[Cycle]") -> "Cycle | None":
+    """The cycle that shows most: one that committed an interception, with as many trajectories as possible."""
+    best, most = None, (False, 0)
+    for cycle in cycles:
+        shown = (cycle.status == PlanStatus.INTERCEPT, int((np.asarray(cycle.plans.lanes) >= 0).sum()))
+        if shown > most:
+            best, most = cycle, shown
+    return best
+
+
+def candidate_curves(cycle: "Cycle", samples: int = 12) -> CandidateCurves:
+    """Sample all trajectories of a cycle, ``samples`` points per segment."""
+    plans = cycle.plans
+    lanes = np.asarray(plans.lanes)
+    traced = np.flatnonzero(lanes >= 0)
+    coefficients = np.asarray(plans.splines.position)[..., lanes[traced]]
+    powers = np.linspace(0.0, 1.0, samples)[:, None] ** np.arange(coefficients.shape[1])
+    points = np.einsum("sn,mnak->kmsa", powers, coefficients)
+    curves = points.reshape(len(traced), -1, 3)
+    finite = np.isfinite(curves).all(axis=(1, 2))
+    usable = np.asarray(plans.reasons) == 0
+    place = np.flatnonzero(traced == cycle.chosen)
+    return CandidateCurves(
+        time=cycle.time,
+        goals=np.asarray(plans.goals),
+        usable=usable,
+        curves=curves[finite],
+        curve_usable=usable[traced][finite],
+        chosen=curves[place[0]] if len(place) and finite[place[0]] else None,
+    )
