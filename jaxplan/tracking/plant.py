@@ -1,0 +1,168 @@
+"""The simulated vehicle: MJX rigid body, rotors with lag and inertia, drag, process noise, and the sensors' filters.
+
+One physics step of dt = 1/400 s (model of mit-aera/multicopterDynamicsSim; MuJoCo's semi-implicit Euler):
+
+    rotor    w+ = w_c + (w - w_c) exp(-dt / tau)                            exact for a held command
+    body     m a = R e_z sum k_T w^2 - m g e_z - c |v| v + noise
+             J dW + W x J W = sum (r x k_T w^2 e_z) + e_z sum s (k_Q w^2 + J_r dw)
+                              + W x e_z sum s J_r w - c_a |W| W + noise
+
+The rotors' angular momentum is -sum s J_r w e_z: it gives the reaction to dw and the gyroscopic term. Speeds within a
+step are the mean of its two ends.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt32
+from mujoco import mjx
+
+from jaxplan.records import record
+from jaxplan.spline import FlatState
+from jaxplan.tracking.filters import FilterState, filter_step
+from jaxplan.tracking.indi import Sensed
+from jaxplan.tracking.model import PHYSICS_RATE
+from jaxplan.vehicle.allocation import allocation_matrix
+from jaxplan.vehicle.flatness import differential_flatness
+from jaxplan.vehicle.params import Vehicle
+from jaxplan.vehicle.rotations import length, rotation_from_quat
+
+DT = 1.0 / PHYSICS_RATE
+"""s, one physics step."""
+
+
+@record
+class PlantState:
+    """Everything that the next step of the simulated flight depends on. float32, world z up, body FLU."""
+
+    pos: Float[Array, "*batch 3"]
+    """m, world."""
+    vel: Float[Array, "*batch 3"]
+    """m/s, world."""
+    quat_wxyz: Float[Array, "*batch 4"]
+    """Body to world, unit."""
+    body_rates: Float[Array, "*batch 3"]
+    """rad/s, body."""
+    rotor_speeds: Float[Array, "*batch 4"]
+    """rad/s."""
+    signals: FilterState
+    """Filtered measurements, (*batch 4 3); rows named in ``indi``."""
+    key: PRNGKeyArray | UInt32[Array, "*batch 2"]
+    """Stream of the noise; step i uses ``fold_in(key, i)``, so how a flight is cut into calls does not matter."""
+    step: Int[Array, "*batch"]
+    """Control steps flown since the reset."""
+
+
+class Noise(NamedTuple):
+    """Standard normal draws of one physics step."""
+
+    force: Float[Array, "3"]
+    moment: Float[Array, "3"]
+    accelerometer: Float[Array, "3"]
+    gyroscope: Float[Array, "3"]
+
+
+class Body(NamedTuple):
+    """The rigid body that MJX steps: its compiled model and a blank state."""
+
+    model: mjx.Model
+    blank: mjx.Data
+
+
+def state_on_reference(vehicle: Vehicle, reference: FlatState, key: PRNGKeyArray) -> PlantState:
+    """The plant as if it had always flown ``reference``: attitude, rates, rotors (within limits), settled filters."""
+    flat = differential_flatness(vehicle, reference)
+    force = reference.acc + vehicle.gravity * jnp.array([0.0, 0.0, 1.0], reference.acc.dtype)
+    value = jnp.stack([force, force, flat.body_rates, flat.moment])
+    rate = jnp.stack([reference.jerk, reference.jerk, flat.angular_acceleration, jnp.zeros_like(force)])
+    return PlantState(
+        pos=reference.pos,
+        vel=reference.vel,
+        quat_wxyz=flat.quat_wxyz,
+        body_rates=flat.body_rates,
+        rotor_speeds=jnp.clip(flat.rotor_speeds, vehicle.rotor_speed_min, vehicle.rotor_speed_max),
+        signals=FilterState(value=value, rate=rate),
+        key=key,
+        step=jnp.zeros((), jnp.int32),
+    )
+
+
+def sense(state: PlantState) -> Sensed:
+    """What the controller reads at this instant."""
+    rotation = rotation_from_quat(state.quat_wxyz)
+    return Sensed(
+        pos=state.pos, vel=state.vel, rotation=rotation, rotor_speeds=state.rotor_speeds, signals=state.signals
+    )
+
+
+def physics_step(
+    vehicle: Vehicle, body: Body, state: PlantState, commands: Float[Array, "4"], noise: Noise
+) -> PlantState:
+    """The plant 1/400 s later, under held rotor ``commands`` [rad/s, within limits]. ``vehicle`` is cast already."""
+    speeds = commands + (state.rotor_speeds - commands) * jnp.exp(-DT / vehicle.motor_time_constant)
+    mean_speeds = 0.5 * (state.rotor_speeds + speeds)
+    reaction = vehicle.rotor_inertia * jnp.sum(vehicle.rotor_spin * (speeds - state.rotor_speeds)) / DT
+    wrench = allocation_matrix(vehicle) @ mean_speeds**2
+    applied = jnp.concatenate(
+        [_body_force(vehicle, state, noise), _body_moment(vehicle, state, mean_speeds, reaction, noise)]
+    )
+    data = body.blank.replace(
+        qpos=jnp.concatenate([state.pos, state.quat_wxyz]),
+        qvel=jnp.concatenate([state.vel, state.body_rates]),
+        ctrl=vehicle.thrust_coefficient * mean_speeds**2,
+        qfrc_applied=applied,
+    )
+    data = mjx.step(body.model, data)
+    vel, body_rates = data.qvel[:3], data.qvel[3:]
+    up = jnp.array([0.0, 0.0, 1.0], vel.dtype)
+    measured = jnp.stack(
+        [
+            # Isotropic noise is the same in body and world axes, so the turn into the body and back is left out.
+            (vel - state.vel) / DT
+            + vehicle.gravity * up
+            + jnp.sqrt(vehicle.accelerometer_variance) * noise.accelerometer,
+            rotation_from_quat(state.quat_wxyz)[:, 2] * (wrench[3] / vehicle.mass),
+            body_rates + jnp.sqrt(vehicle.gyroscope_variance) * noise.gyroscope,
+            wrench[:3] + reaction * up,
+        ]
+    )
+    return PlantState(
+        pos=data.qpos[:3],
+        vel=vel,
+        quat_wxyz=data.qpos[3:],
+        body_rates=body_rates,
+        rotor_speeds=speeds,
+        signals=filter_step(state.signals, measured, DT),
+        key=state.key,
+        step=state.step,
+    )
+
+
+def draw_noise(key: PRNGKeyArray, substeps: int) -> Noise:
+    """Standard normal draws for ``substeps`` physics steps, leading axis ``substeps``."""
+    draws = jax.random.normal(key, (substeps, 4, 3), jnp.float32)
+    return Noise(*(draws[:, row] for row in range(4)))
+
+
+def no_noise(key: PRNGKeyArray, substeps: int) -> Noise:
+    """Zeros instead of draws."""
+    del key
+    return Noise(*(jnp.zeros((substeps, 3), jnp.float32) for _ in range(4)))
+
+
+def _body_force(vehicle: Vehicle, state: PlantState, noise: Noise) -> Float[Array, "3"]:
+    """Drag and process noise [N, world]."""
+    drag = -vehicle.drag_coefficient * length(state.vel) * state.vel
+    return drag + jnp.sqrt(vehicle.force_noise_psd / DT) * noise.force
+
+
+def _body_moment(
+    vehicle: Vehicle, state: PlantState, speeds: Float[Array, "4"], reaction: Float[Array, ""], noise: Noise
+) -> Float[Array, "3"]:
+    """Rotor reaction and gyroscopic moment, aerodynamic damping and process noise [N m, body]."""
+    rate_x, rate_y, _ = state.body_rates
+    momentum = vehicle.rotor_inertia * jnp.sum(vehicle.rotor_spin * speeds)  # along -z
+    inertial = jnp.stack([momentum * rate_y, -momentum * rate_x, reaction])
+    damping = -vehicle.aero_moment_coefficient * length(state.body_rates) * state.body_rates
+    return inertial + damping + jnp.sqrt(vehicle.moment_noise_psd / DT) * noise.moment

@@ -1,0 +1,130 @@
+"""Flying a reference in simulation: controller at 200 Hz, physics at 400 Hz, the errors logged.
+
+Timing. Control step i lasts from t_i to t_{i+1} = t_i + 1/200 s. ``references`` has n + 1 rows for n steps: row i is
+the reference at t_i. The controller reads row i at t_i and holds its command; row i of the log is the plant at t_{i+1},
+and its errors are against row i + 1. To go on, the next call's row 0 is this call's row n.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
+
+from jaxplan.numerics import wrap_angle
+from jaxplan.records import record, replace
+from jaxplan.spline import FlatState
+from jaxplan.tracking.indi import IndiGains, indi
+from jaxplan.tracking.model import PHYSICS_RATE, vehicle_model
+from jaxplan.tracking.plant import (
+    Body,
+    Noise,
+    PlantState,
+    draw_noise,
+    no_noise,
+    physics_step,
+    sense,
+    state_on_reference,
+)
+from jaxplan.tracking.precision import float32_island
+from jaxplan.vehicle.params import Vehicle
+from jaxplan.vehicle.rotations import rotation_from_quat
+
+CONTROL_RATE = 200
+"""Control steps per second, as in the MFRL evaluation."""
+
+_SUBSTEPS = PHYSICS_RATE // CONTROL_RATE
+
+
+@record
+class FlightLog:
+    """The plant at the end of each control step (leading axis n), and how far it is from the reference of that instant.
+
+    A flight that went wrong shows as errors that are large or not finite: test ``~(error < limit)``.
+    """
+
+    pos: Float[Array, "n 3"]
+    """m, world."""
+    vel: Float[Array, "n 3"]
+    """m/s, world."""
+    quat_wxyz: Float[Array, "n 4"]
+    """Body to world."""
+    body_rates: Float[Array, "n 3"]
+    """rad/s, body."""
+    rotor_speeds: Float[Array, "n 4"]
+    """rad/s."""
+    position_error: Float[Array, "n"]
+    """m, distance from the reference."""
+    yaw_error: Float[Array, "n"]
+    """rad in [0, pi], between the heading of body x seen from above and the reference's yaw; not modulo pi."""
+    saturated: Bool[Array, "n"]
+    """A rotor limit changed the command of this step."""
+
+
+class Plant(NamedTuple):
+    """A simulated vehicle under control: compiled pure functions, in float32 whatever the caller's scope."""
+
+    reset: Callable[[FlatState, PRNGKeyArray], PlantState]
+    """``reset(reference, key)``: on the reference, rotors at the speeds it demands, filters settled."""
+    fly: Callable[[PlantState, FlatState], tuple[PlantState, FlightLog]]
+    """``fly(state, references)``: n control steps along n + 1 references; one compilation for each n."""
+
+
+def build_plant(vehicle: Vehicle, *, noise: bool = True, gains: IndiGains | None = None) -> Plant:
+    """The plant of ``vehicle`` (host); ``noise`` False leaves out process and sensor noise. ``vmap`` both functions."""
+    body = Body(*vehicle_model(vehicle))
+    chosen = IndiGains() if gains is None else gains
+    noise_of = draw_noise if noise else no_noise
+
+    def reset(reference: FlatState, key: PRNGKeyArray) -> PlantState:
+        return state_on_reference(vehicle.astype(jnp.float32), reference, key)
+
+    def fly(state: PlantState, references: FlatState) -> tuple[PlantState, FlightLog]:
+        return _fly(vehicle.astype(jnp.float32), body, chosen, noise_of, state, references)
+
+    return Plant(reset=float32_island(reset), fly=float32_island(fly))
+
+
+def _fly(
+    vehicle: Vehicle,
+    body: Body,
+    gains: IndiGains,
+    noise_of: Callable[[PRNGKeyArray, int], Noise],
+    state: PlantState,
+    references: FlatState,
+) -> tuple[PlantState, FlightLog]:
+    now = jax.tree.map(lambda rows: rows[:-1], references)
+    then = jax.tree.map(lambda rows: rows[1:], references)
+    steps = state.step + jnp.arange(now.yaw.shape[0], dtype=jnp.int32)
+    keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(state.key, steps)
+    noise = jax.vmap(lambda key: noise_of(key, _SUBSTEPS))(keys)
+
+    def control_step(state: PlantState, row: tuple[FlatState, FlatState, Noise]) -> tuple[PlantState, FlightLog]:
+        reference, target, draws = row
+        commands, saturated = indi(vehicle, gains, sense(state), reference)
+
+        def substep(state: PlantState, draw: Noise) -> tuple[PlantState, None]:
+            return physics_step(vehicle, body, state, commands, draw), None
+
+        state, _ = jax.lax.scan(substep, state, draws)
+        return state, _log(state, target, saturated)
+
+    final, log = jax.lax.scan(control_step, state, (now, then, noise))
+    return replace(final, step=state.step + now.yaw.shape[0]), log
+
+
+def _log(state: PlantState, target: FlatState, saturated: Bool[Array, ""]) -> FlightLog:
+    """One row of the log; plain arithmetic, so that NaN stays NaN."""
+    ahead = rotation_from_quat(state.quat_wxyz)[:, 0]
+    heading = jnp.arctan2(ahead[1], ahead[0])
+    return FlightLog(
+        pos=state.pos,
+        vel=state.vel,
+        quat_wxyz=state.quat_wxyz,
+        body_rates=state.body_rates,
+        rotor_speeds=state.rotor_speeds,
+        position_error=jnp.sqrt(jnp.sum((state.pos - target.pos) ** 2)),
+        yaw_error=jnp.abs(wrap_angle(heading - target.yaw[0])),
+        saturated=saturated,
+    )

@@ -1,0 +1,178 @@
+"""What a quadrotor is: its parameters, and where they are read from.
+
+Presets are TOML files beside this module, one parameter a line, with its unit and its source.
+"""
+
+import dataclasses
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike, DTypeLike, Float
+
+from jaxplan.errors import FileError, InputError
+from jaxplan.records import record, static
+
+_PRESETS = Path(__file__).parent / "presets"
+_SHAPES = {"inertia": (3,), "rotor_positions": (4, 3), "rotor_spin": (4,)}
+_NON_NEGATIVE = (
+    "rotor_inertia",
+    "rotor_speed_min",
+    "drag_coefficient",
+    "aero_moment_coefficient",
+    "force_noise_psd",
+    "moment_noise_psd",
+    "accelerometer_variance",
+    "gyroscope_variance",
+)
+_POSITIVE = (
+    "mass",
+    "inertia",
+    "thrust_coefficient",
+    "torque_coefficient",
+    "motor_time_constant",
+    "rotor_speed_max",
+    "gravity",
+    "radius",
+)
+
+
+@record
+class Vehicle:
+    """A quadrotor with four upright rotors, symmetric about its centre of mass. Body frame FLU, SI units.
+
+    Python floats and float64 NumPy arrays at the host; cast with ``astype`` where arithmetic begins. Raises InputError
+    for values that are no quadrotor, and for layouts whose mixer rows are not orthogonal (``allocation`` needs that).
+    """
+
+    name: str = static()
+    mass: Float[ArrayLike, ""]
+    """kg."""
+    inertia: Float[ArrayLike, "3"]
+    """kg m^2, principal moments about body x, y, z."""
+    rotor_positions: Float[ArrayLike, "4 3"]
+    """m, from the centre of mass, body frame."""
+    rotor_spin: Float[ArrayLike, "4"]
+    """+1 or -1: sign of the reaction torque on the body about +z (so the rotor itself turns about -spin z)."""
+    thrust_coefficient: Float[ArrayLike, ""]
+    """N / (rad/s)^2: thrust = coefficient * speed^2, along body +z."""
+    torque_coefficient: Float[ArrayLike, ""]
+    """N m / (rad/s)^2: torque about body z = spin * coefficient * speed^2."""
+    rotor_inertia: Float[ArrayLike, ""]
+    """kg m^2, one rotor about its axis."""
+    motor_time_constant: Float[ArrayLike, ""]
+    """s, first order lag from commanded to actual rotor speed."""
+    rotor_speed_min: Float[ArrayLike, ""]
+    """rad/s."""
+    rotor_speed_max: Float[ArrayLike, ""]
+    """rad/s."""
+    drag_coefficient: Float[ArrayLike, ""]
+    """N / (m/s)^2: force = -coefficient |v| v, world frame."""
+    aero_moment_coefficient: Float[ArrayLike, ""]
+    """N m / (rad/s)^2: moment = -coefficient |w| w, body frame."""
+    force_noise_psd: Float[ArrayLike, ""]
+    """N^2 s, white force on each world axis."""
+    moment_noise_psd: Float[ArrayLike, ""]
+    """(N m)^2 s, white moment on each body axis."""
+    accelerometer_variance: Float[ArrayLike, ""]
+    """(m/s^2)^2 per sample and axis."""
+    gyroscope_variance: Float[ArrayLike, ""]
+    """(rad/s)^2 per sample and axis."""
+    gravity: Float[ArrayLike, ""]
+    """m/s^2, along world -z."""
+    radius: Float[ArrayLike, ""]
+    """m, of the sphere about the centre of mass that stands for the vehicle in collision checks."""
+
+    def __post_init__(self) -> None:
+        for name in _POSITIVE:
+            _require(self, name, "> 0", lambda value: value > 0.0)
+        for name in _NON_NEGATIVE:
+            _require(self, name, ">= 0", lambda value: value >= 0.0)
+        _require(self, "rotor_spin", "+1 or -1", lambda value: np.abs(value) == 1.0)
+        _require(self, "rotor_speed_max", "> rotor_speed_min", lambda value: value > self.rotor_speed_min)
+        _check_layout(self)
+
+    def astype(self, dtype: DTypeLike) -> "Vehicle":
+        """The same vehicle with JAX arrays of ``dtype``, for arithmetic under strict type promotion."""
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
+
+
+def list_presets() -> list[str]:
+    """The names that ``load_vehicle`` knows, sorted."""
+    return sorted(path.stem for path in _PRESETS.glob("*.toml"))
+
+
+def load_vehicle(name_or_path: str | Path = "mfrl") -> Vehicle:
+    """A preset by name, or a TOML file of the same form by path (anything with a suffix or a folder).
+
+    Raises InputError for an unknown name, FileError for a file that cannot be used.
+    """
+    path = Path(name_or_path)
+    if path.suffix or path.parent != Path("."):
+        return _read_vehicle(path)
+    if str(name_or_path) not in list_presets():
+        raise InputError(
+            f"There is no vehicle preset {str(name_or_path)!r}: "
+            f"use one of {', '.join(list_presets())}, or the path of a .toml file."
+        )
+    return _read_vehicle(_PRESETS / f"{name_or_path}.toml")
+
+
+def _read_vehicle(path: Path) -> Vehicle:
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileError(
+            f"Cannot read the vehicle file {path} ({error}): give the path of a readable UTF-8 .toml file."
+        ) from error
+    except tomllib.TOMLDecodeError as error:
+        raise FileError(f"The vehicle file {path} is not TOML ({error}): start from one of the presets.") from error
+    wanted = {field.name for field in dataclasses.fields(Vehicle)} - {"name"}
+    for key in sorted(wanted ^ set(table)):
+        kind = "lacks the key" if key in wanted else "has the unknown key"
+        raise FileError(f"The vehicle file {path} {kind} {key!r}: the keys are {', '.join(sorted(wanted))}.")
+    values = {key: _number(path, key, value) for key, value in table.items()}
+    try:
+        return Vehicle(name=path.stem, **values)
+    except InputError as error:
+        raise FileError(f"The vehicle file {path} cannot be used: {error}") from error
+
+
+def _number(path: Path, key: str, value: Any) -> float | Float[np.ndarray, "..."]:
+    """``value`` as a float, or as a float64 array of the shape that ``key`` has."""
+    shape = _SHAPES.get(key, ())
+    try:
+        array = np.array(value)
+    except ValueError:
+        array = np.array(None)
+    if array.dtype.kind not in "if" or array.shape != shape:
+        want = f"an array of shape {shape}" if shape else "a number"
+        raise FileError(f"The key {key!r} in the vehicle file {path} is {value!r}: want {want} in SI units.")
+    return array.astype(np.float64) if shape else float(array)
+
+
+def _require(vehicle: Vehicle, name: str, want: str, good: Any) -> None:
+    value = np.asarray(getattr(vehicle, name), dtype=np.float64)
+    shape = _SHAPES.get(name, ())
+    if value.shape != shape or not np.all(np.isfinite(value)) or not np.all(good(value)):
+        raise InputError(
+            f"{name} of vehicle {vehicle.name!r} is {value.tolist()}: want finite numbers {want} of shape {shape}."
+        )
+
+
+def _check_layout(vehicle: Vehicle) -> None:
+    """Roll, pitch, yaw and thrust must be orthogonal in the four rotors, and roll and pitch not zero."""
+    _require(vehicle, "rotor_positions", "(any sign)", np.isfinite)
+    positions = np.asarray(vehicle.rotor_positions, dtype=np.float64)
+    rows = np.stack([positions[:, 1], -positions[:, 0], np.asarray(vehicle.rotor_spin), np.ones(4)])
+    lengths = np.linalg.norm(rows, axis=1)
+    gram = rows @ rows.T
+    if not np.all(lengths > 0.0) or np.any(np.abs(gram - np.diag(np.diag(gram))) > 1e-9 * np.outer(lengths, lengths)):
+        raise InputError(
+            f"The rotors of vehicle {vehicle.name!r} are not symmetric about the centre of mass (positions "
+            f"{positions.tolist()}, spins {np.asarray(vehicle.rotor_spin).tolist()}): "
+            "want an X or H layout with opposite rotors of equal spin."
+        )

@@ -1,0 +1,51 @@
+"""Rotation matrices (body to world) and unit quaternions (w x y z), for one rotation each.
+
+NaN goes through: nothing here hides a bad attitude.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def rotation_from_quat(quat_wxyz: Float[Array, "4"]) -> Float[Array, "3 3"]:
+    """The matrix that turns body vectors into world vectors."""
+    w, x, y, z = quat_wxyz
+    return jnp.stack(
+        [
+            jnp.stack([1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)]),
+            jnp.stack([2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)]),
+            jnp.stack([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)]),
+        ]
+    )
+
+
+def quat_from_rotation(rotation: Float[Array, "3 3"]) -> Float[Array, "4"]:
+    """The quaternion (w >= 0) of a rotation matrix, by the largest of its four components (Shepperd 1978)."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation
+    outer = jnp.stack(  # 4 q q^T
+        [
+            jnp.stack([1.0 + a + e + i, h - f, c - g, d - b]),
+            jnp.stack([h - f, 1.0 + a - e - i, b + d, c + g]),
+            jnp.stack([c - g, b + d, 1.0 - a + e - i, f + h]),
+            jnp.stack([d - b, c + g, f + h, 1.0 - a - e + i]),
+        ]
+    )
+    largest = jnp.argmax(jnp.diagonal(outer))
+    quat = outer[largest] / (2.0 * jnp.sqrt(outer[largest, largest]))
+    return jnp.where(quat[0] < 0.0, -quat, quat)
+
+
+def rotation_vector(rotation: Float[Array, "3 3"]) -> Float[Array, "3"]:
+    """Axis times angle [rad, at most pi] of a rotation matrix; 2 v for tiny angles."""
+    quat = quat_from_rotation(rotation)
+    vector = quat[1:]
+    sine = length(vector)
+    tiny = sine < 1e-6
+    return jnp.where(tiny, 2.0, 2.0 * jnp.arctan2(sine, quat[0]) / jnp.where(tiny, 1.0, sine)) * vector
+
+
+def length(vector: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
+    """Euclidean norm with gradient 0 at 0; unlike ``numerics.safe_norm``, NaN stays NaN."""
+    squared = jnp.sum(vector * vector, axis=-1)
+    zero = squared == 0.0
+    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, squared)))
