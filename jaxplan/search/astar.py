@@ -1,0 +1,382 @@
+"""Multi-goal A* on an occupancy lattice (host, compiled by numba).
+
+The graph: free cells, joined to those of their 26 neighbours that can be reached without cutting a corner (every cell
+of the step's bounding box is free). The exact start and the exact goals are nodes of their own, joined to each free
+cell among the 27 around them whose centre they see, and to each other if they see each other and lie in neighbouring
+cells. Seeing: the segment crosses no cell of the finest lattice that is too close to an obstacle; the goal's own cell
+does not count. Paths therefore leave the start and enter the goal without a detour over a cell's centre.
+
+The search: f = g + h with h(x) = |x - c|, c the mean of the goals (interception paper, section III.A). By the
+triangle inequality h is consistent, so a cell is settled at its least cost when it is popped; h is not a lower bound
+of the cost to any one goal, so the search ends only when no open cell can improve any goal: min f >= max_k (cost_k +
+h(goal_k)). Every path is optimal on its lattice. Goals in another connected component are left out beforehand, and a
+budget bounds the number of settled cells.
+"""
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxplan.search.graph import STEPS, Graph, make_frame, permitted_moves
+from jaxplan.search.heap import make_heap, pop, push
+
+NO_ENTRY = -1
+"""The goal was not reached."""
+DIRECT = -2
+"""The goal is joined to the start by one segment."""
+
+_LENGTHS = np.linalg.norm(STEPS, axis=1)
+"""Length of each step, in cells."""
+
+_RECHECK = 32
+"""Settled cells between updates of the bound that ends the search; arbitrary."""
+
+_compiled = numba.njit(cache=True, nogil=True)
+_push, _pop = _compiled(push), _compiled(pop)
+
+
+class Found(NamedTuple):
+    """What one search gives, per goal."""
+
+    cost: Float[np.ndarray, "k"]
+    """Length from the start [m]; inf if not reached."""
+    entry: Int[np.ndarray, "k"]
+    """The last cell before the goal, or ``NO_ENTRY`` or ``DIRECT``."""
+    parent: Int[np.ndarray, "n"]
+    """Each settled cell's predecessor; -1 behind the first cell after the start."""
+    expanded: int
+    """Settled cells."""
+
+
+class _Goals(NamedTuple):
+    """Goals in lists by cell. ``head`` and ``following`` hold goal index + 1, so that 0 ends a list."""
+
+    points: np.ndarray
+    head: np.ndarray
+    following: np.ndarray
+    nearby: np.ndarray
+    """Cells with a goal among the 27 around them."""
+    cost: np.ndarray
+    entry: np.ndarray
+    alias: np.ndarray
+    """The first goal at the same point; itself if there is none."""
+    heuristic: np.ndarray
+    wanted: np.ndarray
+
+
+def search(
+    graph: Graph,
+    start: Float[np.ndarray, "3"],
+    goals: Float[np.ndarray, "k 3"],
+    wanted: Bool[np.ndarray, "k"],
+    budget: int,
+) -> Found:
+    """Shortest paths from ``start`` to all ``wanted`` goals, settling at most ``budget`` cells.
+
+    Points in metres (world frame). ``start`` and the wanted goals must be finite and inside the lattice.
+    """
+    cells, count = graph.moves.size, len(goals)
+    centre = goals[wanted].mean(axis=0) if wanted.any() else start.copy()
+    heap = make_heap(cells)
+    lists = _Goals(
+        points=goals,
+        head=np.zeros(cells, np.int32),
+        following=np.zeros(count, np.int32),
+        nearby=np.zeros(cells, np.bool_),
+        cost=np.full(count, np.inf),
+        entry=np.full(count, NO_ENTRY, np.int64),
+        alias=np.arange(count),
+        heuristic=np.linalg.norm(goals - centre, axis=1),
+        wanted=wanted.copy(),
+    )
+    cost, parent = np.empty(cells), np.empty(cells, np.int32)
+    expanded = _search(graph, heap, lists, cost, parent, tuple(start.tolist()), tuple(centre.tolist()), budget)
+    return Found(cost=lists.cost, entry=lists.entry, parent=parent, expanded=int(expanded))
+
+
+def write_paths(
+    graph: Graph,
+    found: Found,
+    head: Float[np.ndarray, "h 3"],
+    goals: Float[np.ndarray, "k 3"],
+    points: Float[np.ndarray, "k capacity 3"],
+    count: Int[np.ndarray, "k"],
+) -> None:
+    """Write the path of every reached goal into its row of ``points``: ``head``, cell centres, goal, the last one repeated.
+
+    ``count`` becomes the number of points of the whole path, which may exceed the capacity; then the row is its prefix.
+    """
+    _write_paths(graph.frame, found.parent, found.entry, head, goals, points, count)
+
+
+def warmup() -> None:
+    """Compile the search, or load it from numba's cache, by solving a room of two cells."""
+    occupied = np.zeros((2, 1, 1), dtype=bool)
+    frame = make_frame((2, 1, 1), np.zeros(3), 1.0)
+    graph = Graph(permitted_moves(occupied), np.ones(2, np.int32), frame, occupied, frame)
+    goals, points, count = np.array([[1.5, 0.5, 0.5]]), np.zeros((1, 4, 3)), np.zeros(1, np.int64)
+    found = search(graph, np.array([0.5, 0.5, 0.5]), goals, np.ones(1, np.bool_), 10)
+    write_paths(graph, found, np.zeros((1, 3)), goals, points, count)
+
+
+@_compiled
+def _search(graph, heap, goals, cost, parent, start, centre, budget):  # type: ignore[no-untyped-def]
+    """Settle cells in order of f; returns their number."""
+    _list_goals(graph, goals)
+    _open_around_start(graph, heap, goals, cost, parent, start, centre)
+    remaining = _drop_unreachable(graph, heap, goals)
+    expanded, bound = 0, np.inf
+    while remaining > 0 and heap.size[0] > 0 and expanded < budget:
+        if heap.keys[1] >= bound:
+            break
+        cell = _pop(heap)
+        expanded += 1
+        if goals.nearby[cell]:
+            _improve_goals(graph, goals, cell, cost[cell])
+        _relax(graph, heap, cost, parent, cell, centre)
+        if expanded % _RECHECK == 0:
+            bound = _bound(goals)
+    _share_with_aliases(goals)
+    return expanded
+
+
+@_compiled
+def _list_goals(graph, goals):  # type: ignore[no-untyped-def]
+    """Enter each wanted goal once in the list of its cell, and mark the cells around it."""
+    for k in range(len(goals.points)):
+        if not goals.wanted[k]:
+            continue
+        i, j, m = _cell_of(graph.frame, _at(goals.points, k))
+        cell = _flat(graph.frame, i, j, m)
+        other = goals.head[cell]
+        while other > 0 and not _at(goals.points, k) == _at(goals.points, other - 1):
+            other = goals.following[other - 1]
+        if other > 0:
+            goals.alias[k] = other - 1
+            goals.wanted[k] = False
+            continue
+        goals.following[k] = goals.head[cell]
+        goals.head[cell] = k + 1
+        for a, b, c in _around(graph.frame, i, j, m):
+            goals.nearby[_flat(graph.frame, a, b, c)] = True
+
+
+@_compiled
+def _open_around_start(graph, heap, goals, cost, parent, start, centre):  # type: ignore[no-untyped-def]
+    """Open the free cells that the start sees, and join the goals next to it directly."""
+    i, j, m = _cell_of(graph.frame, start)
+    for a, b, c in _around(graph.frame, i, j, m):
+        cell = _flat(graph.frame, a, b, c)
+        k = goals.head[cell]
+        while k > 0:
+            if _sees(graph.fine, graph.fine_frame, start, _at(goals.points, k - 1)):
+                goals.cost[k - 1] = _distance(start, _at(goals.points, k - 1))
+                goals.entry[k - 1] = DIRECT
+            k = goals.following[k - 1]
+        middle = _centre_of(graph.frame, a, b, c)
+        if graph.components[cell] > 0 and _sees(graph.fine, graph.fine_frame, start, middle):
+            cost[cell] = _distance(start, middle)
+            parent[cell] = -1
+            _push(heap, cell, cost[cell] + _distance(middle, centre))
+
+
+@_compiled
+def _drop_unreachable(graph, heap, goals):  # type: ignore[no-untyped-def]
+    """Unwant the goals that no opened component leads to; returns how many stay wanted."""
+    remaining = 0
+    for k in range(len(goals.points)):
+        if not goals.wanted[k]:
+            continue
+        i, j, m = _cell_of(graph.frame, _at(goals.points, k))
+        reachable = goals.entry[k] == DIRECT or _is_open_component(graph, heap, _flat(graph.frame, i, j, m))
+        if not reachable:
+            for a, b, c in _around(graph.frame, i, j, m):
+                if not _is_open_component(graph, heap, _flat(graph.frame, a, b, c)):
+                    continue
+                if _sees(graph.fine, graph.fine_frame, _centre_of(graph.frame, a, b, c), _at(goals.points, k)):
+                    reachable = True
+                    break
+        goals.wanted[k] = reachable
+        remaining += reachable
+    return remaining
+
+
+@_compiled
+def _is_open_component(graph, heap, cell):  # type: ignore[no-untyped-def]
+    """Whether a cell is connected to one that was opened around the start."""
+    if graph.components[cell] == 0:
+        return False
+    for position in range(1, heap.size[0] + 1):
+        if graph.components[heap.cells[position]] == graph.components[cell]:
+            return True
+    return False
+
+
+@_compiled
+def _improve_goals(graph, goals, cell, cost):  # type: ignore[no-untyped-def]
+    """Offer a settled cell as the entry of the goals around it."""
+    i, j, m = _indices(graph.frame, cell)
+    middle = _centre_of(graph.frame, i, j, m)
+    for a, b, c in _around(graph.frame, i, j, m):
+        k = goals.head[_flat(graph.frame, a, b, c)]
+        while k > 0:
+            offered = cost + _distance(middle, _at(goals.points, k - 1))
+            if offered < goals.cost[k - 1] and _sees(graph.fine, graph.fine_frame, middle, _at(goals.points, k - 1)):
+                goals.cost[k - 1] = offered
+                goals.entry[k - 1] = cell
+            k = goals.following[k - 1]
+
+
+@_compiled
+def _relax(graph, heap, cost, parent, cell, centre):  # type: ignore[no-untyped-def]
+    """Offer a settled cell as the predecessor of its neighbours."""
+    i, j, m = _indices(graph.frame, cell)
+    moves = graph.moves[cell]
+    for bit in range(26):
+        if not (moves >> np.uint32(bit)) & np.uint32(1):
+            continue
+        a, b, c = i + STEPS[bit, 0], j + STEPS[bit, 1], m + STEPS[bit, 2]
+        neighbour = _flat(graph.frame, a, b, c)
+        place = heap.place[neighbour]
+        if place < 0:
+            continue
+        offered = cost[cell] + _LENGTHS[bit] * graph.frame.h
+        if place == 0 or offered < cost[neighbour]:
+            cost[neighbour] = offered
+            parent[neighbour] = cell
+            _push(heap, neighbour, offered + _distance(_centre_of(graph.frame, a, b, c), centre))
+
+
+@_compiled
+def _bound(goals):  # type: ignore[no-untyped-def]
+    """No cell of at least this f can improve a goal."""
+    bound = 0.0
+    for k in range(len(goals.points)):
+        if goals.wanted[k]:
+            bound = max(bound, goals.cost[k] + goals.heuristic[k])
+    return bound
+
+
+@_compiled
+def _share_with_aliases(goals):  # type: ignore[no-untyped-def]
+    for k in range(len(goals.points)):
+        goals.cost[k] = goals.cost[goals.alias[k]]
+        goals.entry[k] = goals.entry[goals.alias[k]]
+
+
+@_compiled
+def _write_paths(frame, parents, entries, head, goals, points, count):  # type: ignore[no-untyped-def]
+    capacity = points.shape[1]
+    for k in range(len(goals)):
+        if entries[k] == NO_ENTRY:
+            continue
+        cells, cell = 0, entries[k]
+        while cell >= 0:
+            cells, cell = cells + 1, parents[cell]
+        total = len(head) + cells + 1
+        count[k] = total
+        for position in range(min(len(head), capacity)):
+            _put(points, k, position, _at(head, position))
+        position, cell = len(head) + cells - 1, entries[k]
+        while cell >= 0:
+            if position < capacity:
+                _put(points, k, position, _centre_of(frame, *_indices(frame, cell)))
+            position, cell = position - 1, parents[cell]
+        for position in range(total - 1, capacity):
+            _put(points, k, position, _at(goals, k))
+
+
+@_compiled
+def _sees(blocked, frame, a, b):  # type: ignore[no-untyped-def]
+    """Whether the segment a-b crosses no blocked cell, b's own cell left out.
+
+    Walks from cell to cell through the face that the segment leaves by.
+    """
+    i, di, ni, ti, hi = _axis_walk(frame.x, frame.h, frame.nx, a[0], b[0])
+    j, dj, nj, tj, hj = _axis_walk(frame.y, frame.h, frame.ny, a[1], b[1])
+    m, dm, nm, tm, hm = _axis_walk(frame.z, frame.h, frame.nz, a[2], b[2])
+    for _ in range(ni + nj + nm):
+        if blocked[i, j, m]:
+            return False
+        if ti <= tj and ti <= tm:
+            i, ni = i + di, ni - 1
+            ti = ti + hi if ni > 0 else np.inf
+        elif tj <= tm:
+            j, nj = j + dj, nj - 1
+            tj = tj + hj if nj > 0 else np.inf
+        else:
+            m, nm = m + dm, nm - 1
+            tm = tm + hm if nm > 0 else np.inf
+    return True
+
+
+@_compiled
+def _axis_walk(origin, h, count, a, b):  # type: ignore[no-untyped-def]
+    """Along one axis of a segment: first cell, direction, number of faces to cross, and the fractions of the segment at
+    the first face and between faces."""
+    u, v = (a - origin) / h, (b - origin) / h
+    cell = _index(a, origin, h, count)
+    faces = abs(_index(b, origin, h, count) - cell)
+    if faces == 0:
+        return cell, 1, faces, np.inf, np.inf
+    between = 1.0 / abs(v - u)
+    if v > u:
+        return cell, 1, faces, (cell + 1 - u) * between, between
+    return cell, -1, faces, (u - cell) * between, between
+
+
+@_compiled
+def _index(x, origin, h, count):  # type: ignore[no-untyped-def]
+    """The cell along one axis; the nearest one for a point on or beyond the lattice's outer faces."""
+    return min(max(int(np.floor((x - origin) / h)), 0), count - 1)
+
+
+@_compiled
+def _cell_of(frame, p):  # type: ignore[no-untyped-def]
+    return (
+        _index(p[0], frame.x, frame.h, frame.nx),
+        _index(p[1], frame.y, frame.h, frame.ny),
+        _index(p[2], frame.z, frame.h, frame.nz),
+    )
+
+
+@_compiled
+def _around(frame, i, j, m):  # type: ignore[no-untyped-def]
+    """The cell and its up to 26 neighbours."""
+    for a in range(max(i - 1, 0), min(i + 2, frame.nx)):
+        for b in range(max(j - 1, 0), min(j + 2, frame.ny)):
+            for c in range(max(m - 1, 0), min(m + 2, frame.nz)):
+                yield a, b, c
+
+
+@_compiled
+def _flat(frame, i, j, m):  # type: ignore[no-untyped-def]
+    return (i * frame.ny + j) * frame.nz + m
+
+
+@_compiled
+def _indices(frame, cell):  # type: ignore[no-untyped-def]
+    row = cell // frame.nz
+    return row // frame.ny, row % frame.ny, cell - row * frame.nz
+
+
+@_compiled
+def _centre_of(frame, i, j, m):  # type: ignore[no-untyped-def]
+    return frame.x + (i + 0.5) * frame.h, frame.y + (j + 0.5) * frame.h, frame.z + (m + 0.5) * frame.h
+
+
+@_compiled
+def _at(points, k):  # type: ignore[no-untyped-def]
+    return points[k, 0], points[k, 1], points[k, 2]
+
+
+@_compiled
+def _put(points, k, position, p):  # type: ignore[no-untyped-def]
+    points[k, position, 0], points[k, position, 1], points[k, position, 2] = p
+
+
+@_compiled
+def _distance(p, q):  # type: ignore[no-untyped-def]
+    return np.sqrt((p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2)

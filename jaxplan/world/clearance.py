@@ -1,0 +1,171 @@
+"""Distance to the nearest obstacle, as pure JAX functions.
+
+Primitives: exact signed distance (negative inside). With q the excess of a point over a box or a cylinder along each of
+its own axes, the distance is ``|max(q, 0)| + min(max_i q_i, 0)``: outside and inside parts. Over many primitives the
+squared outside parts and the inside parts are minimised apart, so one square root serves all boxes, cylinders and planes.
+
+Meshes: a lower bound from the exact squared distances D_i at the grid nodes n_i. Squared distance to any set is
+``|p|^2`` plus a concave function of p (a minimum of affine ones), so by Jensen's inequality the trilinear weights w_i give
+``d(p)^2 >= sum w_i D_i - sum w_i |n_i - p|^2 = sum w_i D_i - h^2 sum_axis t (1 - t)`` with t the point's fractions in its
+cell: never an overestimate, and short of the truth by at most ``3/4 h^2`` in the square.
+
+Precision: float64 where the caller's JAX has 64-bit types enabled. Layout: the coordinates are separate arrays, so that
+each primitive is one vectorised pass over the points.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxplan.world.obstacles import Boxes, Capsules, Cylinders, Mesh, Obstacles, Planes, Spheres, World
+
+_UNROLL = 8
+"""Primitives per pass over the points; measured, 4 to 16 are alike."""
+
+
+class _Nearest(NamedTuple):
+    """The nearest surface so far: squared distance [m^2] outside (0 inside) and depth [m] inside (0 outside)."""
+
+    outside: Array
+    inside: Array
+
+
+class _Points(NamedTuple):
+    x: Array
+    y: Array
+    z: Array
+
+
+def clearance(world: World | Obstacles, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
+    """Signed distance [m] from each point (world frame, m) to the nearest obstacle; negative inside one.
+
+    The room's own faces do not count (see ``wall_clearance``). Exact for primitives; for a mesh a lower bound that is
+    never negative. No obstacle at all: inf. A point with a coordinate that is not finite: NaN, so that
+    ``clearance >= margin`` is False.
+    """
+    obstacles = world.obstacles if isinstance(world, World) else world
+    points = jnp.asarray(points)
+    finite = jnp.isfinite(points).all(axis=-1)
+    p = _Points(*(jnp.where(finite, points[..., axis], 0.0) for axis in range(3)))
+    nearest = _Nearest(jnp.full(finite.shape, jnp.inf, points.dtype), jnp.zeros(finite.shape, points.dtype))
+    nearest = _over_primitives(_box, obstacles.boxes, p, nearest)
+    nearest = _over_primitives(_cylinder, obstacles.cylinders, p, nearest)
+    nearest = _over_primitives(_plane, obstacles.planes, p, nearest)
+    nearest = _over_primitives(_sphere, obstacles.spheres, p, nearest)
+    nearest = _over_primitives(_capsule, obstacles.capsules, p, nearest)
+    distance = _sqrt(nearest.outside) + nearest.inside
+    if obstacles.mesh is not None:
+        distance = jnp.minimum(distance, _mesh_distance(obstacles.mesh, p))
+    return jnp.where(finite, distance, jnp.nan)
+
+
+def wall_clearance(world: World, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
+    """Distance [m] from each point to the nearest face of the room from inside; negative outside; NaN for NaN."""
+    lower, upper = jnp.asarray(world.bounds)
+    points = jnp.asarray(points)
+    return jnp.minimum(points - lower, upper - points).min(axis=-1)
+
+
+def _over_primitives(distance, primitives, p: _Points, nearest: _Nearest) -> _Nearest:  # type: ignore[no-untyped-def]
+    """Merge all primitives of one kind into ``nearest``; ``distance`` maps one primitive and the points to a _Nearest."""
+    count = jax.tree.leaves(primitives)[0].shape[0]
+    if count == 0:
+        return nearest
+
+    def merge(nearest: _Nearest, primitive: object) -> tuple[_Nearest, None]:
+        found = distance(primitive, p)
+        return _Nearest(jnp.minimum(nearest.outside, found.outside), jnp.minimum(nearest.inside, found.inside)), None
+
+    dtype = nearest.outside.dtype
+    primitives = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), primitives)
+    return jax.lax.scan(merge, nearest, primitives, unroll=min(count, _UNROLL))[0]
+
+
+def _box(box: Boxes, p: _Points) -> _Nearest:
+    dx, dy, dz = p.x - box.center[0], p.y - box.center[1], p.z - box.center[2]
+    q = [
+        jnp.abs(box.rotation[0, i] * dx + box.rotation[1, i] * dy + box.rotation[2, i] * dz) - box.half[i]
+        for i in range(3)
+    ]
+    outside = sum(jnp.maximum(excess, 0.0) ** 2 for excess in q)
+    inside = jnp.minimum(jnp.maximum(jnp.maximum(q[0], q[1]), q[2]), 0.0)
+    return _Nearest(outside, inside)
+
+
+def _cylinder(cylinder: Cylinders, p: _Points) -> _Nearest:
+    along, across = _along_and_across(cylinder.center, cylinder.axis, p)
+    radial = _sqrt(across) - cylinder.radius
+    axial = jnp.abs(along) - cylinder.half_length
+    outside = jnp.maximum(radial, 0.0) ** 2 + jnp.maximum(axial, 0.0) ** 2
+    return _Nearest(outside, jnp.minimum(jnp.maximum(radial, axial), 0.0))
+
+
+def _plane(plane: Planes, p: _Points) -> _Nearest:
+    height = plane.normal[0] * p.x + plane.normal[1] * p.y + plane.normal[2] * p.z - plane.offset
+    return _from_signed(height)
+
+
+def _sphere(sphere: Spheres, p: _Points) -> _Nearest:
+    dx, dy, dz = p.x - sphere.center[0], p.y - sphere.center[1], p.z - sphere.center[2]
+    return _from_signed(_sqrt(dx * dx + dy * dy + dz * dz) - sphere.radius)
+
+
+def _capsule(capsule: Capsules, p: _Points) -> _Nearest:
+    along, across = _along_and_across(capsule.center, capsule.axis, p)
+    beyond = jnp.maximum(jnp.abs(along) - capsule.half_length, 0.0)
+    return _from_signed(_sqrt(across + beyond * beyond) - capsule.radius)
+
+
+def _along_and_across(center: Float[Array, "3"], axis: Float[Array, "3"], p: _Points) -> tuple[Array, Array]:
+    """Coordinate along an axis through ``center`` [m], and squared distance from that axis [m^2]."""
+    dx, dy, dz = p.x - center[0], p.y - center[1], p.z - center[2]
+    along = axis[0] * dx + axis[1] * dy + axis[2] * dz
+    rx, ry, rz = dx - along * axis[0], dy - along * axis[1], dz - along * axis[2]
+    return along, rx * rx + ry * ry + rz * rz
+
+
+def _from_signed(distance: Float[Array, "*batch"]) -> _Nearest:
+    return _Nearest(jnp.maximum(distance, 0.0) ** 2, jnp.minimum(distance, 0.0))
+
+
+def _sqrt(squared: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Square root with gradient 0 where the argument is 0 or less, instead of inf, or is infinite, instead of NaN."""
+    positive = (squared > 0.0) & (squared < jnp.inf)
+    root = jnp.sqrt(jnp.where(positive, squared, 1.0))
+    return jnp.where(positive, root, jnp.where(squared > 0.0, jnp.inf, 0.0))
+
+
+def _mesh_distance(mesh: Mesh, p: _Points) -> Float[Array, "*batch"]:
+    """Lower bound of the distance to the surface [m], >= 0. Outside the grid, whose box contains the mesh, the triangle
+    inequality with the nearest point of the grid's box, or the distance to that box, whichever is larger."""
+    shape = mesh.squared.shape
+    spacing = jnp.asarray(mesh.spacing, p.x.dtype)
+    weights, indices, correction, beyond = [], [], 0.0, 0.0
+    for axis, coordinate in enumerate(p):
+        steps = (coordinate - mesh.origin[axis]) / spacing
+        held = jnp.clip(steps, 0.0, shape[axis] - 1.0)
+        index = jnp.clip(jnp.floor(held), 0, shape[axis] - 2)
+        fraction = held - index
+        weights.append((1.0 - fraction, fraction))
+        indices.append(index.astype(jnp.int32))
+        correction += fraction * (1.0 - fraction)
+        beyond += (steps - held) ** 2
+    squared = _trilinear(jnp.asarray(mesh.squared, p.x.dtype), indices, weights) - spacing**2 * correction
+    outside = spacing * _sqrt(jnp.asarray(beyond))
+    return jnp.maximum(_sqrt(squared) - outside, outside)
+
+
+def _trilinear(values: Float[Array, "nx ny nz"], indices: list[Array], weights: list[tuple[Array, Array]]) -> Array:
+    """Trilinear interpolation at cells that are known to lie inside the grid."""
+    _, ny, nz = values.shape
+    flat = values.reshape(-1)
+    base = (indices[0] * ny + indices[1]) * nz + indices[2]
+    total = 0.0
+    for i in range(2):
+        for j in range(2):
+            for k in range(2):
+                corner = flat.at[base + ((i * ny + j) * nz + k)].get(mode="promise_in_bounds")
+                total += weights[0][i] * weights[1][j] * weights[2][k] * corner
+    return total

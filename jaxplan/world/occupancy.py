@@ -1,0 +1,137 @@
+"""Occupancy lattices of a world at several resolutions (host, NumPy).
+
+Which cells are occupied:
+
+* finest lattice: the exact clearance of the cell's centre is below the padding. Clearance is 1-Lipschitz, so every point
+  of a free cell keeps at least the padding minus half of the cell's diagonal (0.087 m at 0.1 m), and so does every
+  segment between the centres of neighbouring free cells. The test is not made stricter by that half diagonal: it would
+  close passages that the paper's padding leaves open, and the emitted polynomial is checked exactly anyway.
+* coarser lattices: any finest cell in it is too close to an obstacle.
+* all lattices: the cell's centre is closer than ``keep_in`` to a face of the room. This test is made per lattice and is
+  not handed from fine to coarse cells, or a room of 2 m height would have no free cell of 1 m.
+"""
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxplan.errors import InputError
+from jaxplan.numerics import in_float64
+from jaxplan.records import record
+from jaxplan.world.clearance import clearance
+from jaxplan.world.obstacles import Obstacles, World
+
+PADDING = 0.5
+"""m, from the interception paper: distance that paths keep from obstacles."""
+RESOLUTIONS = (0.1, 0.2, 0.5, 1.0)
+"""m, from the interception paper."""
+MAX_CELLS = 2**26
+"""Cells of the finest lattice; 64 MB of occupancy."""
+
+_CHUNK = 2**16
+"""Points per compiled call."""
+_ROUNDING = 1e-9
+"""m; a centre at exactly ``keep_in`` from a face counts as inside, whatever the rounding."""
+
+
+@record
+class Lattice:
+    """A regular lattice of cubic cells over a room."""
+
+    occupied: Bool[np.ndarray, "nx ny nz"]
+    """No path may enter these cells."""
+    near_obstacle: Bool[np.ndarray, "nx ny nz"]
+    """The part of ``occupied`` that obstacles and their padding cause, without the room's faces."""
+    origin: Float[np.ndarray, "3"]
+    """Lower corner of cell (0, 0, 0) [m, world]: the room's lower corner."""
+    resolution: float
+    """Side of a cell [m]."""
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        return self.occupied.shape  # type: ignore[return-value]
+
+
+def occupancy_lattices(
+    world: World, resolutions: tuple[float, ...] = RESOLUTIONS, padding: float = PADDING
+) -> tuple[Lattice, ...]:
+    """One lattice per resolution [m], finest first; each resolution is a multiple of the first. ``padding`` [m]."""
+    factors = _factors(resolutions)
+    bounds = np.asarray(world.bounds, dtype=np.float64)
+    shape = _shape(bounds, resolutions[0])
+    cells = float(np.prod(shape.astype(float)))
+    if cells > MAX_CELLS:
+        raise InputError(
+            f"world {world.name!r}: have {cells:.3g} cells of {resolutions[0]:g} m, want at most {MAX_CELLS}; "
+            "use a smaller room or a coarser finest resolution"
+        )
+    padded = _near_obstacle(world.obstacles, bounds[0], shape, resolutions[0], padding)
+    return tuple(
+        _lattice(world, _coarsen(padded, factor), resolution)
+        for factor, resolution in zip(factors, resolutions, strict=True)
+    )
+
+
+def cell_centres(origin: Float[np.ndarray, "3"], resolution: float, shape: tuple[int, ...]) -> list[np.ndarray]:
+    """Coordinates of the cells' centres along each axis [m]."""
+    return [origin[axis] + (np.arange(shape[axis]) + 0.5) * resolution for axis in range(3)]
+
+
+def _factors(resolutions: tuple[float, ...]) -> list[int]:
+    ratios = (
+        [resolution / resolutions[0] for resolution in resolutions]
+        if resolutions and resolutions[0] > 0.0
+        else [np.nan]
+    )
+    factors = [round(ratio) if np.isfinite(ratio) else 0 for ratio in ratios]
+    increasing = all(a < b for a, b in zip(factors[:-1], factors[1:], strict=True))
+    if not increasing or not np.allclose(ratios, factors, rtol=0.0, atol=1e-6):
+        raise InputError(
+            f"resolutions: have {resolutions}, want positive metres, ascending, each a multiple of the first; correct them"
+        )
+    return factors
+
+
+def _shape(bounds: Float[np.ndarray, "2 3"], resolution: float) -> np.ndarray:
+    return np.maximum(np.ceil((bounds[1] - bounds[0]) / resolution - 1e-6), 1.0).astype(np.int64)
+
+
+@in_float64
+def _near_obstacle(
+    obstacles: Obstacles, origin: np.ndarray, shape: np.ndarray, resolution: float, padding: float
+) -> Bool[np.ndarray, "nx ny nz"]:
+    """Which cells' centres are closer than ``padding`` to an obstacle; a chunk of cells at a time."""
+    count = int(np.prod(shape))
+    padded = np.empty(count, dtype=bool)
+    for first in range(0, count, _CHUNK):
+        index = np.minimum(np.arange(first, first + _CHUNK), count - 1)
+        centres = origin + (np.stack(np.unravel_index(index, shape), axis=-1) + 0.5) * resolution
+        far = np.asarray(_compiled_clearance(obstacles, centres)) >= padding
+        padded[first : first + _CHUNK] = ~far[: count - first]
+    return padded.reshape(shape)
+
+
+_compiled_clearance = jax.jit(clearance)
+
+
+def _coarsen(padded: Bool[np.ndarray, "nx ny nz"], factor: int) -> Bool[np.ndarray, "mx my mz"]:
+    """A coarse cell is set if any fine cell in it is."""
+    filled = np.pad(padded, [(0, -n % factor) for n in padded.shape])
+    mx, my, mz = (n // factor for n in filled.shape)
+    return filled.reshape(mx, factor, my, factor, mz, factor).any(axis=(1, 3, 5))
+
+
+def _lattice(world: World, near_obstacle: Bool[np.ndarray, "nx ny nz"], resolution: float) -> Lattice:
+    bounds, margin = np.asarray(world.bounds, dtype=np.float64), float(world.keep_in) - _ROUNDING
+    centres = cell_centres(bounds[0], resolution, near_obstacle.shape)
+    inside = [
+        (centre >= bounds[0, axis] + margin) & (centre <= bounds[1, axis] - margin)
+        for axis, centre in enumerate(centres)
+    ]
+    kept_in = inside[0][:, None, None] & inside[1][None, :, None] & inside[2][None, None, :]
+    return Lattice(
+        occupied=near_obstacle | ~kept_in,
+        near_obstacle=near_obstacle,
+        origin=bounds[0].copy(),
+        resolution=float(resolution),
+    )

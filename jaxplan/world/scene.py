@@ -1,0 +1,166 @@
+"""Worlds from files: ``load_world`` and the reader of MJCF scenes.
+
+An MJCF file is the single source of a world: simulation, occupancy, clearance and pictures read the same file. Besides
+geoms it holds a box site "room" (the room's faces), optionally a site "start" and a custom numeric "keep_in" [m]. Geoms
+with contype = conaffinity = 0 collide with nothing: they are decoration, and no obstacles.
+"""
+
+from collections.abc import Callable
+from importlib import resources
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from jaxplan.errors import FileError, InputError
+from jaxplan.world.box_json import load_box_json
+from jaxplan.world.mesh import load_stl
+from jaxplan.world.mjcf import check_mjcf
+from jaxplan.world.obstacles import (
+    DEFAULT_KEEP_IN,
+    Boxes,
+    Capsules,
+    Cylinders,
+    Obstacles,
+    Planes,
+    Spheres,
+    World,
+    make_obstacles,
+)
+
+__all__ = ["ENVIRONMENTS", "World", "environment_path", "load_world"]
+
+ENVIRONMENTS = ("env1",)
+"""Names of the stored worlds."""
+
+_MAX_BYTES = {".xml": 4 * 2**20, ".json": 16 * 2**20, ".stl": 128 * 2**20}
+"""Largest file per ending; arbitrary, far above any room."""
+
+
+def load_world(name_or_path: str | Path) -> World:
+    """The world of a stored name (``ENVIRONMENTS``) or of a file: MJCF (.xml), surface mesh (.stl), rotorpy boxes (.json).
+
+    World frame z up, metres. Raises ``InputError`` for an unknown name and ``FileError`` for a file that cannot be used.
+    """
+    if str(name_or_path) in ENVIRONMENTS:
+        return _load_file(environment_path(str(name_or_path)))
+    path = Path(name_or_path)
+    if path.suffix.lower() not in _READERS:
+        if path.exists():
+            endings = ", ".join(_READERS)
+            raise FileError(f"{path}: have the ending {path.suffix!r}, want one of {endings}; convert the map")
+        raise InputError(
+            f"world: have {str(name_or_path)!r}, want a stored world ({', '.join(ENVIRONMENTS)}) or a file ending in "
+            f"{', '.join(_READERS)}; check the name"
+        )
+    return _load_file(path)
+
+
+def environment_path(name: str) -> Path:
+    """The MJCF file of a stored world."""
+    if name not in ENVIRONMENTS:
+        raise InputError(f"world: have {name!r}, want one of {', '.join(ENVIRONMENTS)}; check the name")
+    return Path(str(resources.files("jaxplan.world").joinpath("environments", f"{name}.xml")))
+
+
+def _load_file(path: Path) -> World:
+    ending = path.suffix.lower()
+    return _READERS[ending](path, _read_bytes(path, _MAX_BYTES[ending]))
+
+
+def _read_bytes(path: Path, limit: int) -> bytes:
+    """The whole of a regular file of bounded size."""
+    if not path.is_file():
+        have = "no such file" if not path.exists() else "something that is not a file"
+        raise FileError(f"{path}: {have}, want a readable map; check the path")
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(limit + 1)
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
+    if len(data) > limit:
+        raise FileError(f"{path}: have more than {limit} bytes, want a map of at most that; simplify it")
+    return data
+
+
+def _load_mjcf(path: Path, data: bytes) -> World:
+    """The world of an MJCF file, whose bytes are ``data``."""
+    text = check_mjcf(path, data)
+    try:
+        model = mujoco.MjModel.from_xml_string(text)
+    except ValueError as error:
+        raise FileError(f"{path}: MuJoCo refuses it ({' '.join(str(error).split())[:200]}); correct it") from error
+    state = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, state)
+    if not (
+        np.isfinite(state.geom_xpos).all() and np.isfinite(model.geom_size).all() and np.isfinite(state.site_xpos).all()
+    ):
+        raise FileError(f"{path}: a position or size is NaN or infinite, want finite metres; correct it")
+    try:
+        return World(
+            name=path.stem,
+            bounds=_room(path, model, state),
+            obstacles=_obstacles(path, model, state),
+            keep_in=np.float64(_keep_in(model)),
+            start=_start(model, state),
+            provenance=f"{path} (MJCF)",
+        )
+    except InputError as error:
+        raise FileError(f"{path}: {error}; correct the file") from error
+
+
+def _room(path: Path, model: mujoco.MjModel, state: mujoco.MjData) -> Float[np.ndarray, "2 3"]:
+    """The room's lower and upper corner [m], from the site "room"."""
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "room")
+    aligned = site >= 0 and np.allclose(state.site_xmat[site], np.eye(3).reshape(-1), atol=1e-9)
+    if not aligned or model.site_type[site] != mujoco.mjtGeom.mjGEOM_BOX:
+        raise FileError(
+            f"{path}: the room's faces are missing, want an axis-aligned box site: "
+            '<site name="room" type="box" pos="X Y Z" size="HALF_X HALF_Y HALF_Z"/> in <worldbody>; add it'
+        )
+    return np.stack([state.site_xpos[site] - model.site_size[site], state.site_xpos[site] + model.site_size[site]])
+
+
+def _start(model: mujoco.MjModel, state: mujoco.MjData) -> Float[np.ndarray, "3"] | None:
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "start")
+    return None if site < 0 else np.array(state.site_xpos[site])
+
+
+def _keep_in(model: mujoco.MjModel) -> float:
+    numeric = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, "keep_in")
+    return DEFAULT_KEEP_IN if numeric < 0 else float(model.numeric_data[model.numeric_adr[numeric]])
+
+
+def _obstacles(path: Path, model: mujoco.MjModel, state: mujoco.MjData) -> Obstacles:
+    """All geoms that collide, as records."""
+    kinds = mujoco.mjtGeom
+    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    known = [kinds.mjGEOM_BOX, kinds.mjGEOM_CYLINDER, kinds.mjGEOM_SPHERE, kinds.mjGEOM_CAPSULE, kinds.mjGEOM_PLANE]
+    unknown = solid & ~np.isin(model.geom_type, [int(kind) for kind in known])
+    if unknown.any():
+        index = int(np.flatnonzero(unknown)[0])
+        kind = kinds(int(model.geom_type[index])).name.removeprefix("mjGEOM_").lower()
+        raise FileError(
+            f"{path}: geom {model.geom(index).name or index!r} is of type {kind}, "
+            "want box, cylinder, sphere, capsule or plane; replace it, or give a mesh as an .stl file"
+        )
+    rotation = state.geom_xmat.reshape(-1, 3, 3)
+    chosen = [np.flatnonzero(solid & (model.geom_type == int(kind))) for kind in known]
+    position, size, axis = state.geom_xpos, model.geom_size, rotation[:, :, 2]
+    box, cylinder, sphere, capsule, plane = chosen
+    return make_obstacles(
+        boxes=Boxes(center=position[box], half=size[box], rotation=rotation[box]),
+        cylinders=Cylinders(
+            center=position[cylinder], axis=axis[cylinder], radius=size[cylinder, 0], half_length=size[cylinder, 1]
+        ),
+        spheres=Spheres(center=position[sphere], radius=size[sphere, 0]),
+        capsules=Capsules(
+            center=position[capsule], axis=axis[capsule], radius=size[capsule, 0], half_length=size[capsule, 1]
+        ),
+        planes=Planes(normal=axis[plane], offset=np.sum(axis[plane] * position[plane], axis=1)),
+    )
+
+
+_READERS: dict[str, Callable[[Path, bytes], World]] = {".xml": _load_mjcf, ".stl": load_stl, ".json": load_box_json}
+"""Which reader takes a file, by its ending."""
