@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from jaxplan.interception import Episode
 
 # Okabe and Ito (2008): told apart with every common colour vision; line styles differ too.
-DEFENDER, TARGET, USABLE, REJECTED, MARK = "#0072B2", "#D55E00", "#009E73", "#a3a3a3", "#F0E442"
+DEFENDER, TARGET, USABLE, REJECTED, MARK = "#0072B2", "#D55E00", "#009E73", "#8a8a8a", "#F0E442"
 
 POSITION_LIMIT, YAW_LIMIT = 0.4, 45.0
 """m and degrees; beyond either tracking counts as lost (paper, Sec. IV)."""
@@ -31,8 +31,11 @@ OUTCOMES = {
 }
 
 MAP_WIDTH, SIDE_WIDTH, TIME_HEIGHT = 6.8, 3.1, 1.75
-LEFT, BOTTOM, TOP, GAP = 0.75, 0.6, 0.95, 0.62
-"""Inches."""
+LEFT, BOTTOM, TOP, GAP = 0.75, 0.6, 1.05, 0.66
+LARGEST_VIEW = np.array([MAP_WIDTH, 8.0, 4.5])
+"""Inches; the last one for a room's length, depth and height."""
+MARGIN = 0.02
+"""Shown around the room, as a share of its size."""
 
 
 class _Layout(NamedTuple):
@@ -65,9 +68,7 @@ def draw_episode(episode: "Episode", metrics: dict[str, Any], path: Path) -> Non
     _draw_view(axes(layout.side_view), episode, shown, across=1)
     _draw_speed(axes(layout.speed), episode)
     _draw_error(axes(layout.error), episode)
-    _draw_legend(axes(layout.legend), episode, shown)
-    left, bottom = (layout.legend[axis] / layout.size[axis] for axis in range(2))
-    figure.text(left, bottom, _numbers(metrics), fontsize=9.5, linespacing=1.6, va="bottom")
+    _draw_legend(axes(layout.legend), episode, shown, metrics)
     height = layout.size[1]
     title = OUTCOMES.get(episode.outcome, episode.outcome)
     figure.text(LEFT / layout.size[0], 1.0 - 0.42 / height, title, fontsize=16, fontweight="bold")
@@ -76,21 +77,22 @@ def draw_episode(episode: "Episode", metrics: dict[str, Any], path: Path) -> Non
 
 
 def _layout(bounds: np.ndarray) -> _Layout:
-    """Give both views the same scale along x, within bounds that keep the picture a page."""
-    room = bounds[1] - bounds[0]
-    side = float(np.clip(MAP_WIDTH * room[2] / room[0], 1.1, 4.5))
-    top = float(np.clip(MAP_WIDTH * room[1] / room[0], 2.6, 8.0))
-    whole = MAP_WIDTH + 0.2 + SIDE_WIDTH
+    """Give both views the same scale, as large as fits a page."""
+    room = (1.0 + 2.0 * MARGIN) * (bounds[1] - bounds[0])
+    scale = np.min(LARGEST_VIEW / room)
+    across, deep, high = (float(side) for side in scale * room)
+    whole = max(across, 0.7 * MAP_WIDTH) + 0.2 + SIDE_WIDTH
     plot = (whole - 0.95) / 2.0
     side_at = BOTTOM + TIME_HEIGHT + GAP + 0.1
-    top_at = side_at + side + GAP
+    top_at = side_at + high + GAP
+    beside = whole - SIDE_WIDTH
     return _Layout(
-        size=(LEFT + whole + 0.6, top_at + top + TOP),
-        top_view=(LEFT, top_at, MAP_WIDTH, top),
-        side_view=(LEFT, side_at, MAP_WIDTH, side),
+        size=(LEFT + whole + 0.6, top_at + deep + TOP),
+        top_view=(LEFT, top_at, across, deep),
+        side_view=(LEFT, side_at, across, high),
         speed=(LEFT, BOTTOM, plot, TIME_HEIGHT),
         error=(LEFT + plot + 0.95, BOTTOM, plot, TIME_HEIGHT),
-        legend=(LEFT + MAP_WIDTH + 0.2, side_at, SIDE_WIDTH, top_at + top - side_at),
+        legend=(LEFT + beside, side_at, SIDE_WIDTH, top_at + deep - side_at),
     )
 
 
@@ -109,9 +111,9 @@ def _draw_view(axes: Axes, episode: "Episode", shown: CandidateCurves | None, ac
     axes.plot(target[-1, first], target[-1, second], "s", color=TARGET, markeredgecolor="white", ms=7, zorder=7.5)
     axes.plot(flown[-1, first], flown[-1, second], **_end_marker(episode), zorder=8)
     lower, upper = np.asarray(episode.scenario.world.bounds, dtype=float)
-    margin = 0.02 * float(upper[0] - lower[0])
-    axes.set_xlim(lower[first] - margin, upper[first] + margin)
-    axes.set_ylim(lower[second] - margin, upper[second] + margin)
+    margin = MARGIN * (upper - lower)
+    axes.set_xlim(lower[first] - margin[first], upper[first] + margin[first])
+    axes.set_ylim(lower[second] - margin[second], upper[second] + margin[second])
     axes.set_aspect("equal", adjustable="box", anchor="W")
     axes.set_xlabel(f"{'xyz'[first]} [m]", labelpad=2)
     axes.set_ylabel(f"{'xyz'[second]} [m]", labelpad=2)
@@ -129,7 +131,7 @@ def _end_marker(episode: "Episode") -> dict[str, Any]:
 
 def _draw_candidates(axes: Axes, shown: CandidateCurves, first: int, second: int) -> None:
     """Thin lines for trajectories and dots for goals: usable ones green above rejected ones grey."""
-    for usable, colour, width, alpha in ((False, REJECTED, 0.5, 0.45), (True, USABLE, 0.7, 0.55)):
+    for usable, colour, width, alpha in ((False, REJECTED, 0.6, 0.6), (True, USABLE, 0.8, 0.7)):
         lines = shown.curves[shown.curve_usable == usable][..., [first, second]]
         collection = LineCollection(list(lines), colors=colour, linewidths=width, alpha=alpha, zorder=2.5 + usable)
         axes.add_collection(collection, autolim=False)
@@ -144,10 +146,9 @@ def _draw_candidates(axes: Axes, shown: CandidateCurves, first: int, second: int
 
 def _draw_speed(axes: Axes, episode: "Episode") -> None:
     times = np.asarray(episode.flight.times)
-    axes.plot(
-        times, np.linalg.norm(episode.flight.target_velocity, axis=1), color=TARGET, linestyle=(0, (5, 1.5)), lw=1.6
-    )
-    axes.plot(times, speeds[1], color=DEFENDER, lw=1.8)
+    target, flown = (np.linalg.norm(v, axis=1) for v in (episode.flight.target_velocity, episode.flight.velocity))
+    axes.plot(times, target, color=TARGET, linestyle=(0, (5, 1.5)), lw=1.6)
+    axes.plot(times, flown, color=DEFENDER, lw=1.8)
     axes.set_ylim(bottom=0.0)
     _time_axis(axes, episode, "speed [m/s]")
     axes.annotate(
@@ -163,6 +164,7 @@ def _draw_error(axes: Axes, episode: "Episode") -> None:
     highest = 1.15 * max(1.0, np.max(position) / POSITION_LIMIT, np.max(yaw) / YAW_LIMIT)
     axes.plot(times, position, color=DEFENDER, lw=1.8, label="position [m]")
     _time_axis(axes, episode, "position error [m]")
+    axes.yaxis.label.set_color(DEFENDER)
     axes.set_ylim(0.0, highest * POSITION_LIMIT)
     right = axes.twinx()
     right.plot(times, yaw, color="#CC79A7", lw=1.2, ls="-.")
@@ -187,8 +189,8 @@ def _time_axis(axes: Axes, episode: "Episode", label: str) -> None:
     axes.axvline(episode.scenario.departure, color=EDGE, lw=0.9, ls=":")
 
 
-def _draw_legend(axes: Axes, episode: "Episode", shown: CandidateCurves | None) -> None:
-    """What the lines mean."""
+def _draw_legend(axes: Axes, episode: "Episode", shown: CandidateCurves | None, metrics: dict[str, Any]) -> None:
+    """What the lines mean, and the numbers that matter."""
     axes.set_axis_off()
     end = {key: value for key, value in _end_marker(episode).items() if key != "markersize"}
     entries: list[tuple[Any, str]] = [
@@ -205,13 +207,13 @@ def _draw_legend(axes: Axes, episode: "Episode", shown: CandidateCurves | None) 
             (Line2D([], [], color=REJECTED, lw=1.2, marker="x", ms=4.5), f"rejected candidate ({counts[1]})"),
         ]
         if shown.chosen is not None:
-            entries.append((Line2D([], [], color=USABLE, lw=1.8, ls=":"), "chosen one"))
-    axes.legend(
-        *zip(*entries, strict=True), loc="upper left", frameon=False, fontsize=9.5, labelspacing=0.75, borderaxespad=0.0
-    )
+            entries.append((Line2D([], [], color=USABLE, lw=1.8, ls=":"), "committed trajectory"))
+    entries += [(Line2D([], [], ls="none"), line) for line in ("", *_numbers(metrics))]
+    style = {"loc": "upper left", "frameon": False, "fontsize": 9.5, "labelspacing": 0.75, "borderaxespad": 0.0}
+    axes.legend(*zip(*entries, strict=True), **style)
 
 
-def _numbers(metrics: dict[str, Any]) -> str:
+def _numbers(metrics: dict[str, Any]) -> list[str]:
     rows = [
         ("time to intercept", metrics.get("time_to_intercept_s"), "s"),
         ("smallest distance", metrics.get("min_distance_m"), "m"),
@@ -220,7 +222,7 @@ def _numbers(metrics: dict[str, Any]) -> str:
         ("largest yaw error", metrics.get("max_yaw_error_deg"), "deg"),
     ]
     known = [(name, value, unit) for name, value, unit in rows if value is not None and np.isfinite(value)]
-    return "\n".join(f"{name}: {value:.2f} {unit}" for name, value, unit in known)
+    return [f"{name}: {value:.2f} {unit}" for name, value, unit in known]
 
 
 def _subtitle(episode: "Episode", shown: CandidateCurves | None) -> str:
