@@ -51,7 +51,9 @@ format: $(VENV)/.installed-dev
 	$(BIN)/ruff format .
 
 bench: $(VENV)/.installed-dev
-	$(BIN)/python -m benchmarks
+	@for file in $(wildcard benchmarks/bench_*.py); do \
+	    echo "== $$file"; $(BIN)/python -m benchmarks.$$(basename $$file .py) || exit 1; \
+	done
 
 docs: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest tests/integration/test_docs.py

@@ -15,7 +15,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import App, CycloptsError, Parameter, Token, convert
 
 from jaxplan.config import InterceptConfig
 from jaxplan.errors import JaxplanError
@@ -35,11 +35,19 @@ EXIT_PIPE_CLOSED = 141
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share of the longest possible episode that is over."""
 
+
+def _convert(kind: Any, tokens: Sequence[Token]) -> Any:
+    """What cyclopts does, except that 1.5 is not rounded to a whole number."""
+    if kind is int:
+        return int(tokens[0].value)
+    return convert(kind, tokens)
+
+
 app = App(
     name="jaxplan",
     help="Plan and fly interceptions of a moving target by a quadrotor, among obstacles.",
     version=lambda: metadata.version("jaxplan"),
-    default_parameter=Parameter(negative=()),
+    default_parameter=Parameter(negative=(), converter=_convert),
     suppress_keyboard_interrupt=False,
 )
 

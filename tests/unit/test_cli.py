@@ -1,0 +1,229 @@
+"""The command line: exit codes, one-line errors, and what a run writes. The flight itself is made up here."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from test_viz_episode import made_up_episode
+
+from jaxplan import cli
+from jaxplan.config import InterceptConfig
+from jaxplan.errors import FileError, InputError, InternalError, ResourceError, UnsupportedVersion
+from jaxplan.io.target_log import read_target_log
+from jaxplan.spline import PiecewisePolynomial
+from jaxplan.status import PlanStatus
+from jaxplan.world.scene import load_world
+
+FILES = ["config.json", "episode.png", "flown.csv", "metrics.json", "plans.npz", "target.csv"]
+
+
+def made_up_metrics(success: bool = True) -> dict[str, Any]:
+    return {
+        "success": success,
+        "outcome": "intercepted" if success else "target_ended",
+        "time_to_intercept_s": 3.5 if success else None,
+        "min_distance_m": 0.39,
+        "max_position_error_m": 0.08,
+        "max_yaw_error_deg": 11.0,
+        "min_clearance_m": 0.4,
+        "replans": 30,
+        "replan_ms": {"total": {"p50": 12.0, "p99": 20.0, "max": 25.0}, "search": {"p50": 3.0, "p99": 4.0, "max": 5.0}},
+        "target": {"name": "made up", "warnings": ["1 gaps, the longest 0.500 s at t = 1.000 s"]},
+    }
+
+
+def flight(config: InterceptConfig, success: bool = True) -> Any:
+    """An episode with everything that the files need."""
+    episode = made_up_episode(load_world("env1"), "intercepted" if success else "target_ended")
+    count = len(episode.flight.times)
+    episode.flight.quat_wxyz = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    spline = PiecewisePolynomial(durations=np.ones(2), position=np.ones((2, 10, 3)), yaw=np.zeros((2, 6)))
+    goal = np.zeros(3)
+    plan = SimpleNamespace(
+        start_time=0.6, spline=spline, goal=goal, arrival_time=2.0, alpha=1.1, status=PlanStatus.INTERCEPT
+    )
+    episode.plans = (plan,)
+    return episode
+
+
+@pytest.fixture
+def pretend(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Replace the flight by ``run`` and its metrics by made-up ones."""
+    import jaxplan
+
+    def replace(run: Callable[[InterceptConfig, Any], Any], success: bool = True) -> None:
+        modules = {"interception": ModuleType("interception"), "metrics": ModuleType("metrics")}
+        modules["interception"].run = lambda config, progress: run(config, progress)  # type: ignore[attr-defined]
+        modules["metrics"].episode_metrics = lambda episode: made_up_metrics(success)  # type: ignore[attr-defined]
+        for name, module in modules.items():
+            monkeypatch.setitem(sys.modules, f"jaxplan.{name}", module)
+            monkeypatch.setattr(jaxplan, name, module, raising=False)
+
+    return replace
+
+
+def test_a_run_writes_every_file(
+    tmp_path: Path, pretend: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    seen: list[InterceptConfig] = []
+
+    def run(config: InterceptConfig, progress: Any) -> Any:
+        seen.append(config)
+        progress("flying", 0.5)
+        return flight(config)
+
+    pretend(run)
+    out = tmp_path / "a b" / "ü"
+    arguments = ["intercept", "--start", "-1", "-2.5", "1e0", "--speed", "2", "--seed", "3", "--out", str(out)]
+    assert cli.run([*arguments, "--predictor", "constant-velocity", "--require-success"]) == 0
+    assert sorted(path.name for path in out.iterdir()) == FILES
+    assert seen[0].start == (-1.0, -2.5, 1.0)
+    config = json.loads((out / "config.json").read_text())
+    assert config["predictor"] == "constant-velocity"
+    assert InterceptConfig(**{**config, "start": tuple(config["start"])}) == seen[0]
+    assert json.loads((out / "metrics.json").read_text())["success"] is True
+    assert len(read_target_log(out / "flown.csv").times) == 800
+    assert len(read_target_log(out / "target.csv").times) == 800
+    with np.load(out / "plans.npz", allow_pickle=False) as plans:
+        assert plans["position"].shape == (1, 2, 10, 3)
+    printed = capsys.readouterr()
+    assert "intercepted" in printed.out
+    assert "replan search, p50 / p99" in printed.out
+    assert printed.err == "jaxplan: warning: target: 1 gaps, the longest 0.500 s at t = 1.000 s\n"
+
+
+def test_no_interception_is_a_valid_run(tmp_path: Path, pretend: Callable[..., None]) -> None:
+    pretend(lambda config, progress: flight(config, success=False), success=False)
+    arguments = ["intercept", "--out", str(tmp_path)]
+    assert cli.run(arguments) == 0
+    assert cli.run([*arguments, "--require-success"]) == 13
+    assert sorted(path.name for path in tmp_path.iterdir()) == FILES
+
+
+ERRORS = [
+    (InputError("start: have\n(9, 9, 9), want inside"), 10, "start: have (9, 9, 9), want inside"),
+    (FileError("no such file"), 11, "no such file"),
+    (ResourceError("disk full"), 12, "disk full"),
+    (UnsupportedVersion("jax 0.10.2 is bad"), 12, "jax 0.10.2 is bad"),
+    (InternalError("a bug"), 70, "a bug"),
+    (ZeroDivisionError("oops"), 70, "internal error: ZeroDivisionError: oops"),
+    (KeyboardInterrupt(), 130, "interrupted"),
+]
+
+
+@pytest.mark.parametrize(("error", "code", "text"), ERRORS, ids=lambda value: type(value).__name__)
+def test_errors_are_one_line_and_leave_nothing(
+    tmp_path: Path,
+    pretend: Callable[..., None],
+    capsys: pytest.CaptureFixture[str],
+    error: BaseException,
+    code: int,
+    text: str,
+) -> None:
+    def fail(config: InterceptConfig, progress: Any) -> Any:
+        raise error
+
+    pretend(fail)
+    assert cli.run(["intercept", "--out", str(tmp_path / "new")]) == code
+    printed = capsys.readouterr()
+    assert printed.err.startswith(f"jaxplan: {text}")
+    assert printed.err.count("\n") == 1
+    assert printed.out == ""
+    assert list(tmp_path.iterdir()) == []
+    cli.run(["intercept", "--debug", "--out", str(tmp_path / "new")])
+    assert "Traceback" in capsys.readouterr().err
+
+
+USAGE = [
+    (["bogus"], 2, "bogus"),
+    (["intercept", "--bogus", "1"], 2, "--bogus"),
+    (["intercept", "env1"], 2, "env1"),
+    (["intercept", "--speed", "fast"], 2, "--speed"),
+    (["intercept", "--predictor", "oracle"], 2, "--predictor"),
+    (["intercept", "--planner", "policy"], 2, "--planner"),
+    (["intercept", "--start", "1", "2"], 2, "--start"),
+    (["intercept", "--seed", "1.5"], 2, "--seed"),
+    (["intercept", "--speed", "nan"], 10, "--speed: have nan, want"),
+    (["intercept", "--speed", "0"], 10, "--speed: have 0.0, want"),
+    (["intercept", "--departure", "inf"], 10, "--departure: have inf, want"),
+    (["intercept", "--start", "1", "2", "nan"], 10, "--start: have nan, want"),
+    (["intercept", "--seed", "-1"], 10, "--seed: have -1, want"),
+    (["intercept", "--world", ""], 10, "--world: have '', want"),
+    (["intercept", "--out", "/proc/jaxplan"], 12, "cannot write '/proc/jaxplan'"),
+    (["intercept", "--out", "/dev/null/x"], 12, "cannot write '/dev/null/x'"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "code", "text"), USAGE, ids=str)
+def test_wrong_arguments(
+    pretend: Callable[..., None], capsys: pytest.CaptureFixture[str], arguments: list[str], code: int, text: str
+) -> None:
+    pretend(lambda config, progress: pytest.fail("must not be flown"))
+    assert cli.run(arguments) == code
+    printed = capsys.readouterr()
+    assert text in printed.err
+    assert printed.err.count("\n") == 1
+    assert printed.out == ""
+
+
+def test_a_bad_jax_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from jaxplan import versions
+
+    monkeypatch.setattr(versions, "_version", lambda package: "0.10.2")
+    assert cli.run(["intercept", "--out", str(tmp_path / "new")]) == 12
+    assert "jax 0.10.2 hangs" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_names_every_option(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run(["intercept", "--help"]) == 0
+    text = capsys.readouterr().out
+    options = "world target predictor planner speed departure start seed out require-success debug"
+    assert [name for name in options.split() if f"--{name}" not in text] == []
+    assert "--empty" not in text
+    assert "--no-" not in text.replace("no-policy", "")
+
+
+def test_the_table_shows_what_is_missing_as_a_dash() -> None:
+    lines = cli.summary(made_up_metrics(success=False)).splitlines()
+    assert lines[1].split() == ["time", "to", "intercept", "-", "s"]
+
+
+def test_terminated_runs_leave_nothing(tmp_path: Path) -> None:
+    code = f"""
+import sys, time
+from types import ModuleType
+import jaxplan
+from jaxplan import cli
+for name in ("interception", "metrics"):
+    module = sys.modules["jaxplan." + name] = ModuleType(name)
+    setattr(jaxplan, name, module)
+def run(config, progress):
+    print("started", flush=True)
+    time.sleep(30)
+jaxplan.interception.run = run
+jaxplan.metrics.episode_metrics = None
+cli.main(["intercept", "--out", {str(tmp_path / "new")!r}])
+"""
+    for number, want in ((signal.SIGTERM, 143), (signal.SIGINT, 130)):
+        child = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        assert child.stdout is not None
+        assert child.stdout.readline() == b"started\n"
+        began = time.monotonic()
+        os.kill(child.pid, number)
+        _, stderr = child.communicate(timeout=20)
+        assert child.returncode == want
+        assert time.monotonic() - began < 10.0
+        assert b"Traceback" not in stderr
+        assert list(tmp_path.iterdir()) == []
