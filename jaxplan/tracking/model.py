@@ -3,15 +3,40 @@
 Drag, noise and the rotors' own inertia are not in the model: ``plant.py`` applies them as generalised forces.
 """
 
+import contextlib
+import io
+from typing import NamedTuple
+
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
-from mujoco import mjx
+from jaxtyping import Array, Float
 
 from jaxplan.vehicle.params import Vehicle
 
+# mjx 3.17 prints two lines when its optional Warp back end is absent; the standard output belongs to the caller.
+with contextlib.redirect_stdout(io.StringIO()):
+    from mujoco import mjx
+
 PHYSICS_RATE = 400
 """Physics steps per second, as in the MFRL evaluation."""
+
+
+class Body(NamedTuple):
+    """The rigid body that MJX steps."""
+
+    model: mjx.Model
+    blank: mjx.Data
+
+
+class Motion(NamedTuple):
+    """Position [m, world] and attitude (body to world), velocity [m/s, world] and rates [rad/s, body]."""
+
+    pos: Float[Array, "3"]
+    quat_wxyz: Float[Array, "4"]
+    vel: Float[Array, "3"]
+    body_rates: Float[Array, "3"]
 
 
 def vehicle_mjcf(vehicle: Vehicle) -> str:
@@ -38,11 +63,25 @@ def vehicle_mjcf(vehicle: Vehicle) -> str:
 """
 
 
-def vehicle_model(vehicle: Vehicle) -> tuple[mjx.Model, mjx.Data]:
+def vehicle_body(vehicle: Vehicle) -> Body:
     """The compiled model and a blank state of it, in float32."""
     model = mujoco.MjModel.from_xml_string(vehicle_mjcf(vehicle))
     with jax.enable_x64(False):
-        return mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax")
+        return Body(mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax"))
+
+
+def step_body(
+    body: Body, motion: Motion, thrusts: Float[Array, "4"], force: Float[Array, "3"], moment: Float[Array, "3"]
+) -> Motion:
+    """One MJX step of 1/400 s under rotor ``thrusts`` [N], an added ``force`` [N, world] and ``moment`` [N m, body]."""
+    data = body.blank.replace(
+        qpos=jnp.concatenate([motion.pos, motion.quat_wxyz]),
+        qvel=jnp.concatenate([motion.vel, motion.body_rates]),
+        ctrl=thrusts,
+        qfrc_applied=jnp.concatenate([force, moment]),
+    )
+    data = mjx.step(body.model, data)
+    return Motion(pos=data.qpos[:3], quat_wxyz=data.qpos[3:], vel=data.qvel[:3], body_rates=data.qvel[3:])
 
 
 def _numbers(values: np.ndarray | float) -> str:

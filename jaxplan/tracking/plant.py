@@ -16,13 +16,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt32
-from mujoco import mjx
 
 from jaxplan.records import record
 from jaxplan.spline import FlatState
 from jaxplan.tracking.filters import FilterState, filter_step
 from jaxplan.tracking.indi import Sensed
-from jaxplan.tracking.model import PHYSICS_RATE
+from jaxplan.tracking.model import PHYSICS_RATE, Body, Motion, step_body
 from jaxplan.vehicle.allocation import allocation_matrix
 from jaxplan.vehicle.flatness import differential_flatness
 from jaxplan.vehicle.params import Vehicle
@@ -63,13 +62,6 @@ class Noise(NamedTuple):
     gyroscope: Float[Array, "3"]
 
 
-class Body(NamedTuple):
-    """The rigid body that MJX steps: its compiled model and a blank state."""
-
-    model: mjx.Model
-    blank: mjx.Data
-
-
 def state_on_reference(vehicle: Vehicle, reference: FlatState, key: PRNGKeyArray) -> PlantState:
     """The plant as if it had always flown ``reference``: attitude, rates, rotors (within limits), settled filters."""
     flat = differential_flatness(vehicle, reference)
@@ -104,38 +96,42 @@ def physics_step(
     mean_speeds = 0.5 * (state.rotor_speeds + speeds)
     reaction = vehicle.rotor_inertia * jnp.sum(vehicle.rotor_spin * (speeds - state.rotor_speeds)) / DT
     wrench = allocation_matrix(vehicle) @ mean_speeds**2
-    applied = jnp.concatenate(
-        [_body_force(vehicle, state, noise), _body_moment(vehicle, state, mean_speeds, reaction, noise)]
+    motion = step_body(
+        body,
+        Motion(pos=state.pos, quat_wxyz=state.quat_wxyz, vel=state.vel, body_rates=state.body_rates),
+        thrusts=vehicle.thrust_coefficient * mean_speeds**2,
+        force=_body_force(vehicle, state, noise),
+        moment=_body_moment(vehicle, state, mean_speeds, reaction, noise),
     )
-    data = body.blank.replace(
-        qpos=jnp.concatenate([state.pos, state.quat_wxyz]),
-        qvel=jnp.concatenate([state.vel, state.body_rates]),
-        ctrl=vehicle.thrust_coefficient * mean_speeds**2,
-        qfrc_applied=applied,
-    )
-    data = mjx.step(body.model, data)
-    vel, body_rates = data.qvel[:3], data.qvel[3:]
-    up = jnp.array([0.0, 0.0, 1.0], vel.dtype)
-    measured = jnp.stack(
-        [
-            # Isotropic noise is the same in body and world axes, so the turn into the body and back is left out.
-            (vel - state.vel) / DT
-            + vehicle.gravity * up
-            + jnp.sqrt(vehicle.accelerometer_variance) * noise.accelerometer,
-            rotation_from_quat(state.quat_wxyz)[:, 2] * (wrench[3] / vehicle.mass),
-            body_rates + jnp.sqrt(vehicle.gyroscope_variance) * noise.gyroscope,
-            wrench[:3] + reaction * up,
-        ]
-    )
+    signals = _measured(vehicle, state, motion, wrench, reaction, noise)
     return PlantState(
-        pos=data.qpos[:3],
-        vel=vel,
-        quat_wxyz=data.qpos[3:],
-        body_rates=body_rates,
+        **motion._asdict(),
         rotor_speeds=speeds,
-        signals=filter_step(state.signals, measured, DT),
+        signals=filter_step(state.signals, signals, DT),
         key=state.key,
         step=state.step,
+    )
+
+
+def _measured(
+    vehicle: Vehicle,
+    before: PlantState,
+    after: Motion,
+    wrench: Float[Array, "4"],
+    reaction: Float[Array, ""],
+    noise: Noise,
+) -> Float[Array, "4 3"]:
+    """What goes into the filters at the end of a step, in the rows of ``indi``."""
+    up = jnp.array([0.0, 0.0, 1.0], after.vel.dtype)
+    # Isotropic noise is the same in body and world axes, so the turn into the body and back is left out.
+    accelerometer = jnp.sqrt(vehicle.accelerometer_variance) * noise.accelerometer
+    return jnp.stack(
+        [
+            (after.vel - before.vel) / DT + vehicle.gravity * up + accelerometer,
+            rotation_from_quat(before.quat_wxyz)[:, 2] * (wrench[3] / vehicle.mass),
+            after.body_rates + jnp.sqrt(vehicle.gyroscope_variance) * noise.gyroscope,
+            wrench[:3] + reaction * up,
+        ]
     )
 
 

@@ -16,9 +16,8 @@ from jaxplan.numerics import wrap_angle
 from jaxplan.records import record, replace
 from jaxplan.spline import FlatState
 from jaxplan.tracking.indi import IndiGains, indi
-from jaxplan.tracking.model import PHYSICS_RATE, vehicle_model
+from jaxplan.tracking.model import PHYSICS_RATE, Body, vehicle_body
 from jaxplan.tracking.plant import (
-    Body,
     Noise,
     PlantState,
     draw_noise,
@@ -73,7 +72,7 @@ class Plant(NamedTuple):
 
 def build_plant(vehicle: Vehicle, *, noise: bool = True, gains: IndiGains | None = None) -> Plant:
     """The plant of ``vehicle`` (host); ``noise`` False leaves out process and sensor noise. ``vmap`` both functions."""
-    body = Body(*vehicle_model(vehicle))
+    body = vehicle_body(vehicle)
     chosen = IndiGains() if gains is None else gains
     noise_of = draw_noise if noise else no_noise
 

@@ -37,7 +37,7 @@ def test_commands_solve_the_inversion_whatever_the_present_speeds(vehicle: Vehic
     solve = jax.jit(jax.vmap(lambda m, t, w: rotor_commands(vehicle, m, t, w)))
     found, saturated = solve(jnp.asarray(wanted[:, :3]), jnp.asarray(wanted[:, 3]), jnp.asarray(speeds))
     assert not np.any(saturated)
-    np.testing.assert_allclose(found, commands, rtol=1e-6)  # a fixed number of Newton steps
+    np.testing.assert_allclose(found, commands, rtol=1e-5)  # a fixed number of Newton steps
 
 
 def test_yaw_gives_way_before_thrust_and_thrust_before_roll(vehicle: Vehicle) -> None:

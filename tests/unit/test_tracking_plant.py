@@ -11,10 +11,9 @@ from scipy.spatial.transform import Rotation
 from jaxplan.records import replace
 from jaxplan.spline import FlatState, hover
 from jaxplan.tracking.filters import FilterState
-from jaxplan.tracking.model import vehicle_mjcf, vehicle_model
+from jaxplan.tracking.model import vehicle_body, vehicle_mjcf
 from jaxplan.tracking.plant import (
     DT,
-    Body,
     Noise,
     PlantState,
     draw_noise,
@@ -31,7 +30,7 @@ Flight = Callable[[PlantState, np.ndarray], PlantState]
 
 def open_loop(vehicle: Vehicle, noise: Callable[[jax.Array, int], Noise] = no_noise) -> Flight:
     """The states after each physics step under given rotor commands (n, 4)."""
-    body = Body(*vehicle_model(vehicle))
+    body = vehicle_body(vehicle)
 
     def fly(state: PlantState, commands: jax.Array) -> PlantState:
         cast = vehicle.astype(jnp.float32)
