@@ -1,0 +1,64 @@
+"""Bad input to the real command: one line, the promised exit code, and nothing left behind."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from jaxplan import cli
+
+FLIGHT = "t,x,y,z\n0,-4,4,1\n5,0,4.3,1\n10,4,4,1\n"
+
+CASES = {
+    "unknown world": (["--world", "env9"], 10, "env9"),
+    "unknown target": (["--target", "nobody"], 10, "nobody"),
+    "start outside": (["--start", "50", "0", "1"], 10, "start"),
+    "start in a pillar": (["--start", "1", "-0.05", "1"], 10, "start"),
+    "missing world": (["--world", "absent.stl"], 11, "absent.stl"),
+    "missing target": (["--target", "absent.csv"], 11, "absent.csv"),
+    "target with nan": (["--target", "nan.csv"], 11, "line 3"),
+    "target without z": (["--target", "short.csv"], 11, "z"),
+    "target backwards": (["--target", "backwards.csv"], 11, "line 2"),
+    "target outside": (["--target", "outside.csv"], 10, "outside"),
+    "target in a pillar": (["--target", "pillar.csv"], 10, "inside an obstacle"),
+    "text as mesh": (["--world", "text.stl"], 11, "text.stl"),
+    "empty mesh": (["--world", "empty.stl", "--target", "good.csv"], 11, "empty.stl"),
+    "text as boxes": (["--world", "text.json"], 11, "text.json"),
+    "text as mjcf": (["--world", "text.xml"], 11, "text.xml"),
+    "unknown ending": (["--world", "good.csv"], 11, "good.csv"),
+}
+
+
+@pytest.fixture
+def inputs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Files to trip over, in the current folder."""
+    contents = {
+        "good.csv": FLIGHT,
+        "nan.csv": FLIGHT.replace("0,4.3", "nan,4.3"),
+        "short.csv": "t,x,y\n0,0,0\n1,1,1\n",
+        "backwards.csv": "0,0,0,1\n-1,0,0,1\n",
+        "outside.csv": FLIGHT.replace("10,4,4,1", "10,40,4,1"),
+        "pillar.csv": "t,x,y,z\n0,1,-0.05,1\n5,1,-0.04,1\n",
+        "text.stl": "this is no mesh",
+        "empty.stl": "solid nothing\nendsolid nothing\n",
+        "text.json": "this is no json",
+        "text.xml": "this is no xml",
+    }
+    for name, content in contents.items():
+        (tmp_path / name).write_text(content)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_one_line_one_code_nothing_left(inputs: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+    arguments, code, text = CASES[name]
+    before = sorted(os.listdir(inputs))
+    assert cli.run(["intercept", *arguments, "--out", "new/folder"]) == code
+    printed = capsys.readouterr()
+    assert text in printed.err
+    assert printed.err.startswith("jaxplan: ")
+    assert printed.err.count("\n") == 1
+    assert "internal" not in printed.err
+    assert printed.out == ""
+    assert sorted(os.listdir(inputs)) == before
