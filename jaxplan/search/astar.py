@@ -9,8 +9,10 @@ does not count. Paths therefore leave the start and enter the goal without a det
 The search: f = g + h with h(x) = |x - c|, c the mean of the goals (interception paper, section III.A). By the
 triangle inequality h is consistent, so a cell is settled at its least cost when it is popped; h is not a lower bound
 of the cost to any one goal, so the search ends only when no open cell can improve any goal: min f >= max_k (cost_k +
-h(goal_k)). Every path is optimal on its lattice. Goals in another connected component are left out beforehand, and a
-budget bounds the number of settled cells.
+h(goal_k)). Every path is optimal on its lattice. Goals in another connected component are left out beforehand. A
+budget bounds the number of settled cells; goals whose paths are not proven optimal by then count as not reached.
+
+numba keys its cache by this file alone: after a change of ``graph.py`` or ``heap.py``, save this file again.
 """
 
 from typing import NamedTuple
@@ -19,13 +21,9 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxplan.search.graph import STEPS, Graph, make_frame, permitted_moves
+from jaxplan.search import graph as lattice_graph
+from jaxplan.search.graph import DIRECT, NO_ENTRY, STEPS, Graph, make_frame, make_goals, permitted_moves
 from jaxplan.search.heap import make_heap, pop, push
-
-NO_ENTRY = -1
-"""The goal was not reached."""
-DIRECT = -2
-"""The goal is joined to the start by one segment."""
 
 _LENGTHS = np.linalg.norm(STEPS, axis=1)
 """Length of each step, in cells."""
@@ -35,6 +33,13 @@ _RECHECK = 32
 
 _compiled = numba.njit(cache=True, nogil=True)
 _push, _pop = _compiled(push), _compiled(pop)
+_index, _flat, _indices = (
+    _compiled(lattice_graph.index),
+    _compiled(lattice_graph.flat),
+    _compiled(lattice_graph.indices),
+)
+_centre_of, _neighbour = _compiled(lattice_graph.centre_of), _compiled(lattice_graph.neighbour)
+_at, _put, _distance = _compiled(lattice_graph.at), _compiled(lattice_graph.put), _compiled(lattice_graph.distance)
 
 
 class Found(NamedTuple):
@@ -50,22 +55,6 @@ class Found(NamedTuple):
     """Settled cells."""
 
 
-class _Goals(NamedTuple):
-    """Goals in lists by cell. ``head`` and ``following`` hold goal index + 1, so that 0 ends a list."""
-
-    points: np.ndarray
-    head: np.ndarray
-    following: np.ndarray
-    nearby: np.ndarray
-    """Cells with a goal among the 27 around them."""
-    cost: np.ndarray
-    entry: np.ndarray
-    alias: np.ndarray
-    """The first goal at the same point; itself if there is none."""
-    heuristic: np.ndarray
-    wanted: np.ndarray
-
-
 def search(
     graph: Graph,
     start: Float[np.ndarray, "3"],
@@ -77,20 +66,10 @@ def search(
 
     Points in metres (world frame). ``start`` and the wanted goals must be finite and inside the lattice.
     """
-    cells, count = graph.moves.size, len(goals)
+    cells = graph.moves.size
     centre = goals[wanted].mean(axis=0) if wanted.any() else start.copy()
     heap = make_heap(cells)
-    lists = _Goals(
-        points=goals,
-        head=np.zeros(cells, np.int32),
-        following=np.zeros(count, np.int32),
-        nearby=np.zeros(cells, np.bool_),
-        cost=np.full(count, np.inf),
-        entry=np.full(count, NO_ENTRY, np.int64),
-        alias=np.arange(count),
-        heuristic=np.linalg.norm(goals - centre, axis=1),
-        wanted=wanted.copy(),
-    )
+    lists = make_goals(goals, wanted, centre, cells)
     cost, parent = np.empty(cells), np.empty(cells, np.int32)
     expanded = _search(graph, heap, lists, cost, parent, tuple(start.tolist()), tuple(centre.tolist()), budget)
     return Found(cost=lists.cost, entry=lists.entry, parent=parent, expanded=int(expanded))
@@ -104,9 +83,9 @@ def write_paths(
     points: Float[np.ndarray, "k capacity 3"],
     count: Int[np.ndarray, "k"],
 ) -> None:
-    """Write the path of every reached goal into its row of ``points``: ``head``, cell centres, goal, the last one repeated.
+    """Write the path of every reached goal into its row of ``points``: ``head``, cell centres, goal, the goal repeated.
 
-    ``count`` becomes the number of points of the whole path, which may exceed the capacity; then the row is its prefix.
+    ``count`` becomes the number of points of the whole path; where that exceeds the capacity the row is its prefix.
     """
     _write_paths(graph.frame, found.parent, found.entry, head, goals, points, count)
 
@@ -138,6 +117,7 @@ def _search(graph, heap, goals, cost, parent, start, centre, budget):  # type: i
         _relax(graph, heap, cost, parent, cell, centre)
         if expanded % _RECHECK == 0:
             bound = _bound(goals)
+    _forget_unproven(goals, heap.keys[1] if heap.size[0] > 0 else np.inf)
     _share_with_aliases(goals)
     return expanded
 
@@ -151,7 +131,7 @@ def _list_goals(graph, goals):  # type: ignore[no-untyped-def]
         i, j, m = _cell_of(graph.frame, _at(goals.points, k))
         cell = _flat(graph.frame, i, j, m)
         other = goals.head[cell]
-        while other > 0 and not _at(goals.points, k) == _at(goals.points, other - 1):
+        while other > 0 and _at(goals.points, k) != _at(goals.points, other - 1):
             other = goals.following[other - 1]
         if other > 0:
             goals.alias[k] = other - 1
@@ -159,23 +139,27 @@ def _list_goals(graph, goals):  # type: ignore[no-untyped-def]
             continue
         goals.following[k] = goals.head[cell]
         goals.head[cell] = k + 1
-        for a, b, c in _around(graph.frame, i, j, m):
-            goals.nearby[_flat(graph.frame, a, b, c)] = True
+        for number in range(27):
+            near = _neighbour(graph.frame, i, j, m, number)
+            if near >= 0:
+                goals.nearby[near] = True
 
 
 @_compiled
 def _open_around_start(graph, heap, goals, cost, parent, start, centre):  # type: ignore[no-untyped-def]
     """Open the free cells that the start sees, and join the goals next to it directly."""
     i, j, m = _cell_of(graph.frame, start)
-    for a, b, c in _around(graph.frame, i, j, m):
-        cell = _flat(graph.frame, a, b, c)
+    for number in range(27):
+        cell = _neighbour(graph.frame, i, j, m, number)
+        if cell < 0:
+            continue
         k = goals.head[cell]
         while k > 0:
             if _sees(graph.fine, graph.fine_frame, start, _at(goals.points, k - 1)):
                 goals.cost[k - 1] = _distance(start, _at(goals.points, k - 1))
                 goals.entry[k - 1] = DIRECT
             k = goals.following[k - 1]
-        middle = _centre_of(graph.frame, a, b, c)
+        middle = _centre_of(graph.frame, *_indices(graph.frame, cell))
         if graph.components[cell] > 0 and _sees(graph.fine, graph.fine_frame, start, middle):
             cost[cell] = _distance(start, middle)
             parent[cell] = -1
@@ -192,15 +176,22 @@ def _drop_unreachable(graph, heap, goals):  # type: ignore[no-untyped-def]
         i, j, m = _cell_of(graph.frame, _at(goals.points, k))
         reachable = goals.entry[k] == DIRECT or _is_open_component(graph, heap, _flat(graph.frame, i, j, m))
         if not reachable:
-            for a, b, c in _around(graph.frame, i, j, m):
-                if not _is_open_component(graph, heap, _flat(graph.frame, a, b, c)):
-                    continue
-                if _sees(graph.fine, graph.fine_frame, _centre_of(graph.frame, a, b, c), _at(goals.points, k)):
-                    reachable = True
-                    break
+            reachable = _sees_open_component(graph, heap, i, j, m, _at(goals.points, k))
         goals.wanted[k] = reachable
         remaining += reachable
     return remaining
+
+
+@_compiled
+def _sees_open_component(graph, heap, i, j, m, goal):  # type: ignore[no-untyped-def]
+    """Whether a goal in cell (i, j, m) is in sight of a neighbour that is connected to the start."""
+    for number in range(27):
+        cell = _neighbour(graph.frame, i, j, m, number)
+        if cell >= 0 and _is_open_component(graph, heap, cell):
+            middle = _centre_of(graph.frame, *_indices(graph.frame, cell))
+            if _sees(graph.fine, graph.fine_frame, middle, goal):
+                return True
+    return False
 
 
 @_compiled
@@ -219,8 +210,11 @@ def _improve_goals(graph, goals, cell, cost):  # type: ignore[no-untyped-def]
     """Offer a settled cell as the entry of the goals around it."""
     i, j, m = _indices(graph.frame, cell)
     middle = _centre_of(graph.frame, i, j, m)
-    for a, b, c in _around(graph.frame, i, j, m):
-        k = goals.head[_flat(graph.frame, a, b, c)]
+    for number in range(27):
+        near = _neighbour(graph.frame, i, j, m, number)
+        if near < 0:
+            continue
+        k = goals.head[near]
         while k > 0:
             offered = cost + _distance(middle, _at(goals.points, k - 1))
             if offered < goals.cost[k - 1] and _sees(graph.fine, graph.fine_frame, middle, _at(goals.points, k - 1)):
@@ -238,15 +232,15 @@ def _relax(graph, heap, cost, parent, cell, centre):  # type: ignore[no-untyped-
         if not (moves >> np.uint32(bit)) & np.uint32(1):
             continue
         a, b, c = i + STEPS[bit, 0], j + STEPS[bit, 1], m + STEPS[bit, 2]
-        neighbour = _flat(graph.frame, a, b, c)
-        place = heap.place[neighbour]
+        other = _flat(graph.frame, a, b, c)
+        place = heap.place[other]
         if place < 0:
             continue
         offered = cost[cell] + _LENGTHS[bit] * graph.frame.h
-        if place == 0 or offered < cost[neighbour]:
-            cost[neighbour] = offered
-            parent[neighbour] = cell
-            _push(heap, neighbour, offered + _distance(_centre_of(graph.frame, a, b, c), centre))
+        if place == 0 or offered < cost[other]:
+            cost[other] = offered
+            parent[other] = cell
+            _push(heap, other, offered + _distance(_centre_of(graph.frame, a, b, c), centre))
 
 
 @_compiled
@@ -257,6 +251,14 @@ def _bound(goals):  # type: ignore[no-untyped-def]
         if goals.wanted[k]:
             bound = max(bound, goals.cost[k] + goals.heuristic[k])
     return bound
+
+
+@_compiled
+def _forget_unproven(goals, least):  # type: ignore[no-untyped-def]
+    """Where the budget ended the search, drop what an open cell could still improve; ``least`` is the least open f."""
+    for k in range(len(goals.points)):
+        if goals.entry[k] != NO_ENTRY and goals.cost[k] + goals.heuristic[k] > least:
+            goals.cost[k], goals.entry[k] = np.inf, NO_ENTRY
 
 
 @_compiled
@@ -328,55 +330,9 @@ def _axis_walk(origin, h, count, a, b):  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def _index(x, origin, h, count):  # type: ignore[no-untyped-def]
-    """The cell along one axis; the nearest one for a point on or beyond the lattice's outer faces."""
-    return min(max(int(np.floor((x - origin) / h)), 0), count - 1)
-
-
-@_compiled
 def _cell_of(frame, p):  # type: ignore[no-untyped-def]
     return (
         _index(p[0], frame.x, frame.h, frame.nx),
         _index(p[1], frame.y, frame.h, frame.ny),
         _index(p[2], frame.z, frame.h, frame.nz),
     )
-
-
-@_compiled
-def _around(frame, i, j, m):  # type: ignore[no-untyped-def]
-    """The cell and its up to 26 neighbours."""
-    for a in range(max(i - 1, 0), min(i + 2, frame.nx)):
-        for b in range(max(j - 1, 0), min(j + 2, frame.ny)):
-            for c in range(max(m - 1, 0), min(m + 2, frame.nz)):
-                yield a, b, c
-
-
-@_compiled
-def _flat(frame, i, j, m):  # type: ignore[no-untyped-def]
-    return (i * frame.ny + j) * frame.nz + m
-
-
-@_compiled
-def _indices(frame, cell):  # type: ignore[no-untyped-def]
-    row = cell // frame.nz
-    return row // frame.ny, row % frame.ny, cell - row * frame.nz
-
-
-@_compiled
-def _centre_of(frame, i, j, m):  # type: ignore[no-untyped-def]
-    return frame.x + (i + 0.5) * frame.h, frame.y + (j + 0.5) * frame.h, frame.z + (m + 0.5) * frame.h
-
-
-@_compiled
-def _at(points, k):  # type: ignore[no-untyped-def]
-    return points[k, 0], points[k, 1], points[k, 2]
-
-
-@_compiled
-def _put(points, k, position, p):  # type: ignore[no-untyped-def]
-    points[k, position, 0], points[k, position, 1], points[k, position, 2] = p
-
-
-@_compiled
-def _distance(p, q):  # type: ignore[no-untyped-def]
-    return np.sqrt((p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2)

@@ -1,4 +1,7 @@
-"""The graph that the search walks on: an occupancy lattice as flat arrays (NumPy)."""
+"""The graph that the search walks on: an occupancy lattice as flat arrays (NumPy).
+
+The untyped functions at the end are written for numba; ``jaxplan.search.astar`` compiles them.
+"""
 
 from typing import NamedTuple
 
@@ -7,6 +10,11 @@ from jaxtyping import Bool, Float, Int, UInt32
 
 STEPS = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if (i, j, k) != (0, 0, 0)])
 """The 26 steps, in cells; bit b of a cell's ``moves`` permits step b."""
+
+NO_ENTRY = -1
+"""The goal was not reached."""
+DIRECT = -2
+"""The goal is joined to the start by one segment."""
 
 
 class Frame(NamedTuple):
@@ -37,7 +45,9 @@ class Graph(NamedTuple):
 
 def make_frame(shape: tuple[int, ...], origin: Float[np.ndarray, "3"], resolution: float) -> Frame:
     """The frame of a lattice of ``shape`` cells with its lower corner at ``origin`` [m]."""
-    return Frame(*(int(n) for n in shape), *(float(x) for x in origin), float(resolution))
+    nx, ny, nz = (int(n) for n in shape)
+    x, y, z = (float(corner) for corner in origin)
+    return Frame(nx, ny, nz, x, y, z, float(resolution))
 
 
 def permitted_moves(occupied: Bool[np.ndarray, "nx ny nz"]) -> UInt32[np.ndarray, "n"]:
@@ -51,3 +61,82 @@ def permitted_moves(occupied: Bool[np.ndarray, "nx ny nz"]) -> UInt32[np.ndarray
             allowed &= free[tuple(slice(1 + c, n + 1 + c) for c, n in zip(corner, occupied.shape, strict=True))]
         moves |= allowed.astype(np.uint32) << np.uint32(bit)
     return moves.reshape(-1)
+
+
+def index(x, origin, h, count):  # type: ignore[no-untyped-def]
+    """The cell along one axis; the nearest one for a point on or beyond the lattice's outer faces."""
+    return min(max(int(np.floor((x - origin) / h)), 0), count - 1)
+
+
+class Goals(NamedTuple):
+    """Goals in lists by cell. ``head`` and ``following`` hold goal index + 1, so that 0 ends a list."""
+
+    points: np.ndarray
+    head: np.ndarray
+    following: np.ndarray
+    nearby: np.ndarray
+    """Cells with a goal among the 27 around them."""
+    cost: np.ndarray
+    entry: np.ndarray
+    """The last cell before the goal, or ``NO_ENTRY`` or ``DIRECT``."""
+    alias: np.ndarray
+    """The first goal at the same point; itself if there is none."""
+    heuristic: np.ndarray
+    wanted: np.ndarray
+
+
+def make_goals(
+    points: Float[np.ndarray, "k 3"], wanted: Bool[np.ndarray, "k"], centre: Float[np.ndarray, "3"], cells: int
+) -> Goals:
+    """Goals [m, world] that are not listed yet, for a lattice of ``cells`` cells; ``centre``: where h is 0."""
+    count = len(points)
+    return Goals(
+        points=points,
+        head=np.zeros(cells, np.int32),
+        following=np.zeros(count, np.int32),
+        nearby=np.zeros(cells, np.bool_),
+        cost=np.full(count, np.inf),
+        entry=np.full(count, NO_ENTRY, np.int64),
+        alias=np.arange(count),
+        heuristic=np.linalg.norm(points - centre, axis=1),
+        wanted=wanted.copy(),
+    )
+
+
+def flat(frame, i, j, m):  # type: ignore[no-untyped-def]
+    """A cell's number in C order."""
+    return (i * frame.ny + j) * frame.nz + m
+
+
+def indices(frame, cell):  # type: ignore[no-untyped-def]
+    """A cell's indices from its number in C order."""
+    row = cell // frame.nz
+    return row // frame.ny, row % frame.ny, cell - row * frame.nz
+
+
+def centre_of(frame, i, j, m):  # type: ignore[no-untyped-def]
+    """A cell's centre [m, world]."""
+    return frame.x + (i + 0.5) * frame.h, frame.y + (j + 0.5) * frame.h, frame.z + (m + 0.5) * frame.h
+
+
+def neighbour(frame, i, j, m, number):  # type: ignore[no-untyped-def]
+    """The cell itself (26) or its neighbour by one of ``STEPS`` (0..25), as a number in C order; -1 outside."""
+    if number < 26:
+        i, j, m = i + STEPS[number, 0], j + STEPS[number, 1], m + STEPS[number, 2]
+    if i < 0 or j < 0 or m < 0 or i >= frame.nx or j >= frame.ny or m >= frame.nz:
+        return -1
+    return (i * frame.ny + j) * frame.nz + m
+
+
+def at(points, k):  # type: ignore[no-untyped-def]
+    """Point k [m]."""
+    return points[k, 0], points[k, 1], points[k, 2]
+
+
+def put(points, k, position, p):  # type: ignore[no-untyped-def]
+    points[k, position, 0], points[k, position, 1], points[k, position, 2] = p
+
+
+def distance(p, q):  # type: ignore[no-untyped-def]
+    """Distance between two points [m]."""
+    return np.sqrt((p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2)

@@ -1,6 +1,7 @@
 """A binary heap with decreasing keys, for the search.
 
-Plain functions on NumPy arrays, written for numba: ``jaxplan.search.astar`` compiles them. Position 1 holds the least key.
+Plain functions on NumPy arrays, written for numba: ``jaxplan.search.astar`` compiles them. Position 1 holds the
+least key.
 """
 
 from typing import NamedTuple

@@ -1,7 +1,8 @@
 """Which lattice to search, and the paths from the defender to all candidates (host, NumPy).
 
-The lattice grows with the distance between the drones (interception paper, section III.A). Where a coarse search does not
-reach a goal, the next finer lattice is tried for the goals that are left; only the finest one's failure is ``NO_PATH``.
+The lattice grows with the distance between the drones (interception paper, section III.A). Where a coarse search does
+not reach a goal, the next finer lattice is tried for the goals that are left; only the finest one's failure is
+``NO_PATH``.
 """
 
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from jaxplan.errors import InputError
 from jaxplan.numerics import in_float64
 from jaxplan.records import record, static
 from jaxplan.search import astar
-from jaxplan.search.graph import Graph, make_frame, permitted_moves
+from jaxplan.search.graph import NO_ENTRY, Graph, make_frame, permitted_moves
 from jaxplan.status import Note, Reason
 from jaxplan.world.clearance import clearance, wall_clearance
 from jaxplan.world.obstacles import World
@@ -123,8 +124,8 @@ def find_paths(
 ) -> Paths:
     """Shortest 26-connected paths from ``start`` to each of ``goals`` [m, world].
 
-    ``target_distance`` [m] between the drones selects the lattice. A goal that is not finite, outside the room's keep-in
-    box or closer to an obstacle than the padding has NO_PATH, as has every goal if no free cell is in sight of the start.
+    ``target_distance`` [m] between the drones selects the lattice. A goal that is not finite, outside the room's
+    keep-in box or closer to an obstacle than the padding has NO_PATH, as has every goal if the start sees no free cell.
     """
     start, goals = _points(start, "start", (3,)), _points(goals, "goals", (-1, 3))
     if capacity < 3:
@@ -211,7 +212,7 @@ def _search_level(
     graph = _graph(lattices, level)
     found = astar.search(graph, head[-1], goals, wanted, lattices.config.node_budget)
     astar.write_paths(graph, found, head, goals, paths.points, paths.count)
-    reached = found.entry != astar.NO_ENTRY
+    reached = found.entry != NO_ENTRY
     paths.resolution[reached] = graph.frame.h
     paths.length[reached] = found.cost[reached] + np.linalg.norm(np.diff(head, axis=0), axis=1).sum()
     return found.expanded

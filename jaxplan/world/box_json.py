@@ -1,6 +1,7 @@
-"""Box worlds in rotorpy's JSON schema: ``{"bounds": {"extents": [x0, x1, y0, y1, z0, z1]}, "blocks": [{"extents": ...}]}``.
+"""Box worlds in rotorpy's JSON schema, metres, z up.
 
-Metres, z up; other keys, such as a block's colour, are ignored.
+``{"bounds": {"extents": [x0, x1, y0, y1, z0, z1]}, "blocks": [{"extents": [...]}, ...]}``; other keys, such as the
+colour of a block, are ignored.
 """
 
 import json
@@ -58,8 +59,8 @@ def _corners(path: Path, where: str, item: Any) -> Float[np.ndarray, "2 3"]:
     extents = item.get("extents") if isinstance(item, dict) else None
     if not isinstance(extents, list) or len(extents) != 6 or not all(_is_length(value) for value in extents):
         raise FileError(
-            f"{path}: {where}: have extents {_brief(extents)}, want six finite numbers [x0, x1, y0, y1, z0, z1] in metres; "
-            "correct them"
+            f"{path}: {where}: have extents {_brief(extents)}, want six finite metres "
+            "[x0, x1, y0, y1, z0, z1]; correct them"
         )
     corners = np.array(extents, dtype=np.float64).reshape(3, 2).T
     if not (corners[0] < corners[1]).all():

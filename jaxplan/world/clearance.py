@@ -1,16 +1,17 @@
 """Distance to the nearest obstacle, as pure JAX functions.
 
-Primitives: exact signed distance (negative inside). With q the excess of a point over a box or a cylinder along each of
-its own axes, the distance is ``|max(q, 0)| + min(max_i q_i, 0)``: outside and inside parts. Over many primitives the
-squared outside parts and the inside parts are minimised apart, so one square root serves all boxes, cylinders and planes.
+Primitives: exact signed distance (negative inside). With q the excess of a point over a box or a cylinder along each
+of its own axes, the distance is ``|max(q, 0)| + min(max_i q_i, 0)``: outside and inside parts. Over many primitives
+the squared outside parts and the inside parts are minimised apart, so one square root serves all boxes, cylinders and
+planes.
 
 Meshes: a lower bound from the exact squared distances D_i at the grid nodes n_i. Squared distance to any set is
-``|p|^2`` plus a concave function of p (a minimum of affine ones), so by Jensen's inequality the trilinear weights w_i give
-``d(p)^2 >= sum w_i D_i - sum w_i |n_i - p|^2 = sum w_i D_i - h^2 sum_axis t (1 - t)`` with t the point's fractions in its
-cell: never an overestimate, and short of the truth by at most ``3/4 h^2`` in the square.
+``|p|^2`` plus a concave function of p (a minimum of affine ones), so by Jensen's inequality the trilinear weights w_i
+give ``d(p)^2 >= sum w_i D_i - sum w_i |n_i - p|^2 = sum w_i D_i - h^2 sum_axis t (1 - t)`` with t the point's
+fractions in its cell: never an overestimate, and short of the truth by at most ``3/4 h^2`` in the square.
 
-Precision: float64 where the caller's JAX has 64-bit types enabled. Layout: the coordinates are separate arrays, so that
-each primitive is one vectorised pass over the points.
+Precision: float64 where the caller's JAX has 64-bit types enabled. Layout: the coordinates are separate arrays, so
+that each primitive is one vectorised pass over the points.
 """
 
 from typing import NamedTuple
@@ -69,7 +70,7 @@ def wall_clearance(world: World, points: Float[Array, "*batch 3"]) -> Float[Arra
 
 
 def _over_primitives(distance, primitives, p: _Points, nearest: _Nearest) -> _Nearest:  # type: ignore[no-untyped-def]
-    """Merge all primitives of one kind into ``nearest``; ``distance`` maps one primitive and the points to a _Nearest."""
+    """Merge all primitives of one kind into ``nearest``; ``distance`` maps one of them and the points to a _Nearest."""
     count = jax.tree.leaves(primitives)[0].shape[0]
     if count == 0:
         return nearest

@@ -44,8 +44,8 @@ def load_stl(path: Path, data: bytes) -> World:
         )
     if not (upper - lower > 2.0 * DEFAULT_KEEP_IN).all():
         raise FileError(
-            f"{path}: the mesh spans {_sides(upper - lower)} m, want more than {2 * DEFAULT_KEEP_IN:g} m along each axis; "
-            "give the whole room, in metres"
+            f"{path}: the mesh spans {_sides(upper - lower)} m, want more than {2 * DEFAULT_KEEP_IN:g} m along each "
+            "axis; give the whole room, in metres"
         )
     return World(
         name=path.stem,

@@ -2,14 +2,16 @@
 
 Which cells are occupied:
 
-* finest lattice: the exact clearance of the cell's centre is below the padding. Clearance is 1-Lipschitz, so every point
-  of a free cell keeps at least the padding minus half of the cell's diagonal (0.087 m at 0.1 m), and so does every
-  segment between the centres of neighbouring free cells. The test is not made stricter by that half diagonal: it would
-  close passages that the paper's padding leaves open, and the emitted polynomial is checked exactly anyway.
+* finest lattice: the exact clearance of the cell's centre is below the padding. Clearance is 1-Lipschitz, so every
+  point of a free cell keeps at least the padding minus half of the cell's diagonal (0.087 m at 0.1 m), and so does
+  every segment between the centres of neighbouring free cells. The test is not made stricter by that half diagonal:
+  it would close passages that the paper's padding leaves open, and the emitted polynomial is checked exactly anyway.
 * coarser lattices: any finest cell in it is too close to an obstacle.
-* all lattices: the cell's centre is closer than ``keep_in`` to a face of the room. This test is made per lattice and is
-  not handed from fine to coarse cells, or a room of 2 m height would have no free cell of 1 m.
+* all lattices: the cell's centre is closer than ``keep_in`` to a face of the room. This test is made per lattice and
+  is not handed from fine to coarse cells, or a room of 2 m height would have no free cell of 1 m.
 """
+
+import itertools
 
 import jax
 import numpy as np
@@ -78,16 +80,15 @@ def cell_centres(origin: Float[np.ndarray, "3"], resolution: float, shape: tuple
 
 
 def _factors(resolutions: tuple[float, ...]) -> list[int]:
-    ratios = (
-        [resolution / resolutions[0] for resolution in resolutions]
-        if resolutions and resolutions[0] > 0.0
-        else [np.nan]
-    )
-    factors = [round(ratio) if np.isfinite(ratio) else 0 for ratio in ratios]
-    increasing = all(a < b for a, b in zip(factors[:-1], factors[1:], strict=True))
-    if not increasing or not np.allclose(ratios, factors, rtol=0.0, atol=1e-6):
+    """How many finest cells each cell spans per axis."""
+    usable = len(resolutions) > 0 and bool(np.isfinite(resolutions).all()) and resolutions[0] > 0.0
+    ratios = [resolution / resolutions[0] for resolution in resolutions] if usable else [0.0]
+    factors = [round(ratio) for ratio in ratios]
+    ascending = factors[0] == 1 and all(a < b for a, b in itertools.pairwise(factors))
+    if not ascending or not np.allclose(ratios, factors, rtol=0.0, atol=1e-6):
         raise InputError(
-            f"resolutions: have {resolutions}, want positive metres, ascending, each a multiple of the first; correct them"
+            f"resolutions: have {resolutions}, want positive metres, ascending, each a multiple of the first; "
+            "correct them"
         )
     return factors
 
@@ -118,7 +119,7 @@ def _coarsen(padded: Bool[np.ndarray, "nx ny nz"], factor: int) -> Bool[np.ndarr
     """A coarse cell is set if any fine cell in it is."""
     filled = np.pad(padded, [(0, -n % factor) for n in padded.shape])
     mx, my, mz = (n // factor for n in filled.shape)
-    return filled.reshape(mx, factor, my, factor, mz, factor).any(axis=(1, 3, 5))
+    return np.asarray(filled.reshape(mx, factor, my, factor, mz, factor).any(axis=(1, 3, 5)))
 
 
 def _lattice(world: World, near_obstacle: Bool[np.ndarray, "nx ny nz"], resolution: float) -> Lattice:

@@ -39,9 +39,9 @@ _MAX_BYTES = {".xml": 4 * 2**20, ".json": 16 * 2**20, ".stl": 128 * 2**20}
 
 
 def load_world(name_or_path: str | Path) -> World:
-    """The world of a stored name (``ENVIRONMENTS``) or of a file: MJCF (.xml), surface mesh (.stl), rotorpy boxes (.json).
+    """The world of a stored name (``ENVIRONMENTS``) or of a file: MJCF (.xml), mesh (.stl), rotorpy boxes (.json).
 
-    World frame z up, metres. Raises ``InputError`` for an unknown name and ``FileError`` for a file that cannot be used.
+    World frame z up, metres. Raises ``InputError`` for an unknown name, ``FileError`` for a file that cannot be used.
     """
     if str(name_or_path) in ENVIRONMENTS:
         return _load_file(environment_path(str(name_or_path)))
