@@ -95,22 +95,20 @@ def _fly(
 ) -> tuple[PlantState, FlightLog]:
     now = jax.tree.map(lambda rows: rows[:-1], references)
     then = jax.tree.map(lambda rows: rows[1:], references)
-    steps = state.step + jnp.arange(now.yaw.shape[0], dtype=jnp.int32)
-    keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(state.key, steps)
-    noise = jax.vmap(lambda key: noise_of(key, _SUBSTEPS))(keys)
 
-    def control_step(state: PlantState, row: tuple[FlatState, FlatState, Noise]) -> tuple[PlantState, FlightLog]:
-        reference, target, draws = row
+    def control_step(state: PlantState, row: tuple[FlatState, FlatState]) -> tuple[PlantState, FlightLog]:
+        reference, target = row
         commands, saturated = indi(vehicle, gains, sense(state), reference)
+        noise = noise_of(jax.random.fold_in(state.key, state.step), _SUBSTEPS)
 
         def substep(state: PlantState, draw: Noise) -> tuple[PlantState, None]:
             return physics_step(vehicle, body, state, commands, draw), None
 
-        state, _ = jax.lax.scan(substep, state, draws)
+        state, _ = jax.lax.scan(substep, state, noise)
+        state = replace(state, step=state.step + 1)
         return state, _log(state, target, saturated)
 
-    final, log = jax.lax.scan(control_step, state, (now, then, noise))
-    return replace(final, step=state.step + now.yaw.shape[0]), log
+    return jax.lax.scan(control_step, state, (now, then))
 
 
 def _log(state: PlantState, target: FlatState, saturated: Bool[Array, ""]) -> FlightLog:
