@@ -19,7 +19,8 @@ from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.observations import first_observation
 from jaxplan.prediction.predictors import PredictionConfig, build_predictor
 from jaxplan.replanner import CommittedPlan, Cycle, Replanner, ReplannerConfig
-from jaxplan.search.lattice import reachable_place
+from jaxplan.search.lattice import SearchConfig, build_lattices
+from jaxplan.search.places import reachable_place
 from jaxplan.spline import FlatState, hover
 from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, Plant, build_plant
 from jaxplan.vehicle.params import Vehicle, load_vehicle
@@ -256,4 +257,5 @@ def _start(config: InterceptConfig, world: World, target: Target, padding: float
         return np.asarray(config.start, dtype=float)
     if world.start is not None:
         return np.asarray(world.start, dtype=float)
-    return reachable_place(world, target.position(np.array([0.0]))[0], padding)
+    lattices = build_lattices(world, SearchConfig(padding=padding))
+    return reachable_place(lattices, world, target.position(np.array([0.0]))[0])

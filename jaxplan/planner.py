@@ -22,10 +22,10 @@ from jaxplan.errors import InputError
 from jaxplan.minsnap.batch import SplineBatch, fit
 from jaxplan.numerics import in_float64
 from jaxplan.policy.protocol import Policy
-from jaxplan.prediction.candidates import Candidates, reject_early
+from jaxplan.prediction.candidates import Candidates, candidates_from, reject_early
 from jaxplan.records import record
 from jaxplan.search.knots import KnotConfig, resample, select_knots
-from jaxplan.search.lattice import Paths, build_lattices, find_paths
+from jaxplan.search.lattice import Paths, SearchConfig, build_lattices, find_paths
 from jaxplan.selection import CheckConfig, Margins, check
 from jaxplan.selection import select as select_best
 from jaxplan.spline import FlatState, PiecewisePolynomial
@@ -146,11 +146,14 @@ def build_planner(
     config: PlannerConfig = PlannerConfig(), *, world: World, vehicle: Vehicle, policy: Policy
 ) -> Planner:
     """Compose the stations for one world, vehicle and policy."""
+    lattices = build_lattices(world, SearchConfig(padding=config.padding))
+    world = in_float64(jax.device_put)(world)
     stations = _compile_stations(config, world, vehicle, policy)
-    lattices = build_lattices(world, config.padding)
 
-    def search(state: FlatState, goals: Float[np.ndarray, "k 3"]) -> Paths:
-        return find_paths(lattices, world, np.asarray(state.pos), goals, capacity=config.path_capacity)
+    def search(state: FlatState, goals: Float[np.ndarray, "k 3"], target: Float[np.ndarray, "3"]) -> Paths:
+        start = np.asarray(state.pos)
+        distance = float(np.linalg.norm(target - start))
+        return find_paths(lattices, world, start, goals, distance, capacity=config.path_capacity)
 
     @in_float64
     def plan_batch(state: FlatState, candidates: Candidates, timer: Timer | None = None) -> Plans:
@@ -159,7 +162,7 @@ def build_planner(
         chosen = np.flatnonzero(reasons == 0)
         bucket = _bucket(len(chosen), config.buckets)
         timer.lap("reject")
-        paths = search(state, goals[chosen])
+        paths = search(state, goals[chosen], candidates.target)
         timer.lap("search")
         routes = stations.route(_pad(paths.points, bucket, fill=state.pos))
         timer.lap("knots", routes)
@@ -184,7 +187,7 @@ def build_planner(
         timer = timer or Timer()
         reasons, goals, times = _rejected(stations, state, candidates, config.buckets)
         chosen = _latest_goals(reasons, goals, times)
-        paths = search(state, goals[chosen])
+        paths = search(state, goals[chosen], candidates.target)
         lanes = np.repeat(np.arange(len(chosen)), len(APPROACH_STRETCHES))
         stretches = np.tile(APPROACH_STRETCHES, len(chosen))
         bucket = APPROACH_GOALS * len(APPROACH_STRETCHES)
@@ -222,10 +225,8 @@ def build_planner(
 def _compile_stations(config: PlannerConfig, world: World, vehicle: Vehicle, policy: Policy) -> _Stations:
     """Bind configuration and constants, and compile each station on its own so that it can be timed.
 
-    The world is an argument of what it compiles, not a constant: a distance grid would bloat the program.
+    The world is an argument of what is compiled, not a constant: a distance grid would bloat the program.
     """
-    with jax.enable_x64(True):
-        world = jax.device_put(world)
 
     @jax.jit
     def reject(world: World, candidates: Candidates, start: Float[Array, "3"]) -> Candidates:
@@ -270,6 +271,7 @@ def _rejected(
         arrival_times=_pad(times, bucket, fill=np.nan),
         likelihood=_pad(np.asarray(candidates.likelihood), bucket, fill=0.0),
         reasons=_pad(np.asarray(candidates.reasons), bucket, fill=0),
+        target=np.asarray(candidates.target),
     )
     marked = stations.reject(padded, np.asarray(state.pos))
     return np.array(marked.reasons)[: len(goals)], goals, times
@@ -288,9 +290,7 @@ def _latest_goals(
 def _around(state: FlatState, count: int) -> Candidates:
     """Harmless candidates near a state, to warm up with."""
     goals = np.asarray(state.pos) + 0.3 * np.random.default_rng(0).standard_normal((count, 3)) * [1.0, 1.0, 0.1]
-    return Candidates(
-        goals=goals, arrival_times=np.full(count, 1.0), likelihood=np.ones(count), reasons=np.zeros(count, np.uint32)
-    )
+    return candidates_from(np.asarray(state.pos), goals, np.full(count, 1.0), np.zeros(count))
 
 
 def _bucket(count: int, buckets: tuple[int, ...]) -> int:

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
 
-from jaxplan.records import record
+from jaxplan.records import record, replace
 from jaxplan.status import Reason, bit
 from jaxplan.world.clearance import clearance, wall_clearance
 from jaxplan.world.obstacles import World
@@ -21,17 +21,26 @@ class Candidates:
     likelihood: Float[Array, "k"]
     """Normalised to [0, 1] within the batch."""
     reasons: UInt32[Array, "k"]
+    target: Float[Array, "3"]
+    """Where the target was last seen [m, world]; its distance chooses the search lattice."""
 
 
 def candidates_from(
-    goals: Float[np.ndarray, "k 3"], arrival_times: Float[np.ndarray, "k"], log_likelihood: Float[np.ndarray, "k"]
+    target: Float[np.ndarray, "3"],
+    goals: Float[np.ndarray, "k 3"],
+    arrival_times: Float[np.ndarray, "k"],
+    log_likelihood: Float[np.ndarray, "k"],
 ) -> Candidates:
     """Candidates whose likelihood is relative to the best one; equal log-likelihoods all give 1 (host)."""
     finite = np.isfinite(log_likelihood)
     best = np.max(log_likelihood, initial=-np.inf, where=finite)
     likelihood = np.where(finite, np.exp(np.where(finite, log_likelihood - best, 0.0)), 0.0)
     return Candidates(
-        goals=goals, arrival_times=arrival_times, likelihood=likelihood, reasons=np.zeros(len(goals), np.uint32)
+        goals=goals,
+        arrival_times=arrival_times,
+        likelihood=likelihood,
+        reasons=np.zeros(len(goals), np.uint32),
+        target=target,
     )
 
 
@@ -54,9 +63,4 @@ def reject_early(
         | bit(~((left > 0.0) & jnp.isfinite(left)), Reason.T_GOAL_INVALID)
         | bit(~(distance <= max_speed * left), Reason.OUT_OF_REACH)
     )
-    return Candidates(
-        goals=goals,
-        arrival_times=candidates.arrival_times,
-        likelihood=candidates.likelihood,
-        reasons=candidates.reasons | reasons,
-    )
+    return replace(candidates, reasons=candidates.reasons | reasons)

@@ -65,18 +65,18 @@ def build_predictor(name: str, config: PredictionConfig, truth: Trajectory, seed
     offsets = config.offsets
 
     def none(observations: Observations, cycle: int) -> Candidates:
-        return _certain(np.repeat(observations.positions[-1:], config.steps, axis=0), offsets)
+        return _certain(observations, np.repeat(observations.positions[-1:], config.steps, axis=0), offsets)
 
     def ground_truth(observations: Observations, cycle: int) -> Candidates:
-        return _certain(truth(observations.times[-1] + offsets), offsets)
+        return _certain(observations, truth(observations.times[-1] + offsets), offsets)
 
     def noisy(observations: Observations, cycle: int) -> Candidates:
         deviations = config.sigma * np.sqrt(np.arange(1, config.steps + 1))
         rng = np.random.default_rng((seed, cycle))
-        return _sampled(truth(observations.times[-1] + offsets), deviations, offsets, config.batch, rng)
+        return _sampled(observations, truth(observations.times[-1] + offsets), deviations, offsets, config.batch, rng)
 
     def constant_velocity(observations: Observations, cycle: int) -> Candidates:
-        return _certain(observations.positions[-1] + offsets[:, None] * _velocity(observations), offsets)
+        return _certain(observations, observations.positions[-1] + offsets[:, None] * _velocity(observations), offsets)
 
     known = dict(zip(PREDICTORS, (none, ground_truth, noisy, constant_velocity), strict=True))
     if name not in known:
@@ -84,11 +84,12 @@ def build_predictor(name: str, config: PredictionConfig, truth: Trajectory, seed
     return known[name]
 
 
-def _certain(positions: Float[np.ndarray, "n 3"], offsets: Float[np.ndarray, "n"]) -> Candidates:
-    return candidates_from(positions, offsets, np.zeros(len(offsets)))
+def _certain(observations: Observations, positions: Float[np.ndarray, "n 3"], offsets: Float[np.ndarray, "n"]) -> Candidates:
+    return candidates_from(observations.positions[-1], positions, offsets, np.zeros(len(offsets)))
 
 
 def _sampled(
+    observations: Observations,
     means: Float[np.ndarray, "n 3"],
     deviations: Float[np.ndarray, "n"],
     offsets: Float[np.ndarray, "n"],
@@ -99,7 +100,7 @@ def _sampled(
     standard = rng.standard_normal((len(means), batch, 3))
     goals = means[:, None] + deviations[:, None, None] * standard
     log_density = -0.5 * (standard**2).sum(axis=-1) - 3.0 * np.log(deviations)[:, None]
-    return candidates_from(goals.reshape(-1, 3), np.repeat(offsets, batch), log_density.reshape(-1))
+    return candidates_from(observations.positions[-1], goals.reshape(-1, 3), np.repeat(offsets, batch), log_density.reshape(-1))
 
 
 def _velocity(observations: Observations) -> Float[np.ndarray, "3"]:
