@@ -48,7 +48,7 @@ OWNERS = {
     "optax": ("jaxplan/policy/",),
     "sklearn": ("jaxplan/prediction/gmm.py",),
     "numba": ("jaxplan/search/astar.py",),
-    "cyclopts": ("jaxplan/cli.py",),
+    "cyclopts": ("jaxplan/cli.py", "experiments/"),
     "matplotlib": ("jaxplan/viz/",),
     "viser": ("jaxplan/viz/",),
     "dask": ("experiments/",),

@@ -28,13 +28,21 @@ class CandidateCurves:
 
 
 def illustrative_cycle(cycles: "Sequence[Cycle]") -> "Cycle | None":
-    """The cycle that shows most: one that committed an interception, with as many trajectories as possible."""
-    best, most = None, (False, 0)
+    """The cycle that shows most: one that committed an interception, with the most and longest trajectories."""
+    best, most = None, (False, 0.0)
     for cycle in cycles:
-        shown = (cycle.status == PlanStatus.INTERCEPT, int((np.asarray(cycle.plans.lanes) >= 0).sum()))
+        shown = (cycle.status == PlanStatus.INTERCEPT, _total_distance(cycle))
         if shown > most:
             best, most = cycle, shown
     return best
+
+
+def _total_distance(cycle: "Cycle") -> float:
+    """Straight distances [m] from the start to the goals of all trajectories of a cycle, added up."""
+    plans = cycle.plans
+    traced = np.asarray(plans.lanes) >= 0
+    starts = np.asarray(plans.splines.position)[0, 0][:, np.asarray(plans.lanes)[traced]].T
+    return float(np.nansum(np.linalg.norm(np.asarray(plans.goals)[traced] - starts, axis=1)))
 
 
 def candidate_curves(cycle: "Cycle", samples: int = 12) -> CandidateCurves:
