@@ -12,7 +12,9 @@ of the cost to any one goal, so the search ends only when no open cell can impro
 h(goal_k)). Every path is optimal on its lattice. Goals in another connected component are left out beforehand. A
 budget bounds the number of settled cells; goals whose paths are not proven optimal by then count as not reached.
 
-numba keys its cache by this file alone: after a change of ``graph.py`` or ``heap.py``, save this file again.
+Only the two entry points are cached by numba. They take arrays, numbers and plain tuples, because a cache that names
+classes of an older version cannot be read. The cache is keyed by this file: after a change of ``graph.py`` or
+``heap.py``, save this file again.
 """
 
 from typing import NamedTuple
@@ -21,25 +23,19 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxplan.search import graph as lattice_graph
-from jaxplan.search.graph import DIRECT, NO_ENTRY, STEPS, Graph, make_frame, make_goals, permitted_moves
-from jaxplan.search.heap import make_heap, pop, push
-
-_LENGTHS = np.linalg.norm(STEPS, axis=1)
-"""Length of each step, in cells."""
+from jaxplan.search import graph as g
+from jaxplan.search.graph import DIRECT, LENGTHS, NO_ENTRY, STEPS, Frame, Goals, Graph, make_goals, plain
+from jaxplan.search.heap import Heap, make_heap, pop, push
 
 _RECHECK = 32
 """Settled cells between updates of the bound that ends the search; arbitrary."""
 
-_compiled = numba.njit(cache=True, nogil=True)
+_compiled = numba.njit(nogil=True)
+_compiled_entry = numba.njit(cache=True, nogil=True)
 _push, _pop = _compiled(push), _compiled(pop)
-_index, _flat, _indices = (
-    _compiled(lattice_graph.index),
-    _compiled(lattice_graph.flat),
-    _compiled(lattice_graph.indices),
-)
-_centre_of, _neighbour = _compiled(lattice_graph.centre_of), _compiled(lattice_graph.neighbour)
-_at, _put, _distance = _compiled(lattice_graph.at), _compiled(lattice_graph.put), _compiled(lattice_graph.distance)
+_index, _flat, _indices = _compiled(g.index), _compiled(g.flat), _compiled(g.indices)
+_centre_of, _neighbour = _compiled(g.centre_of), _compiled(g.neighbour)
+_at, _put, _distance = _compiled(g.at), _compiled(g.put), _compiled(g.distance)
 
 
 class Found(NamedTuple):
@@ -71,7 +67,8 @@ def search(
     heap = make_heap(cells)
     lists = make_goals(goals, wanted, centre, cells)
     cost, parent = np.empty(cells), np.empty(cells, np.int32)
-    expanded = _search(graph, heap, lists, cost, parent, tuple(start.tolist()), tuple(centre.tolist()), budget)
+    ends = tuple(start.tolist()), tuple(centre.tolist())
+    expanded = _search(plain(graph), tuple(heap), tuple(lists), cost, parent, *ends, budget)
     return Found(cost=lists.cost, entry=lists.entry, parent=parent, expanded=int(expanded))
 
 
@@ -87,21 +84,27 @@ def write_paths(
 
     ``count`` becomes the number of points of the whole path; where that exceeds the capacity the row is its prefix.
     """
-    _write_paths(graph.frame, found.parent, found.entry, head, goals, points, count)
+    _write_paths(tuple(graph.frame), found.parent, found.entry, head, goals, points, count)
 
 
 def warmup() -> None:
     """Compile the search, or load it from numba's cache, by solving a room of two cells."""
-    occupied = np.zeros((2, 1, 1), dtype=bool)
-    frame = make_frame((2, 1, 1), np.zeros(3), 1.0)
-    graph = Graph(permitted_moves(occupied), np.ones(2, np.int32), frame, occupied, frame)
+    graph = g.two_free_cells()
     goals, points, count = np.array([[1.5, 0.5, 0.5]]), np.zeros((1, 4, 3)), np.zeros(1, np.int64)
     found = search(graph, np.array([0.5, 0.5, 0.5]), goals, np.ones(1, np.bool_), 10)
     write_paths(graph, found, np.zeros((1, 3)), goals, points, count)
 
 
-@_compiled
+@_compiled_entry
 def _search(graph, heap, goals, cost, parent, start, centre, budget):  # type: ignore[no-untyped-def]
+    """Name the parts of the plain tuples and search; returns the number of settled cells."""
+    moves, components, frame, fine, fine_frame = graph
+    graph = Graph(moves, components, Frame(*frame), fine, Frame(*fine_frame))
+    return _settle_all(graph, Heap(*heap), Goals(*goals), cost, parent, start, centre, budget)
+
+
+@_compiled
+def _settle_all(graph, heap, goals, cost, parent, start, centre, budget):  # type: ignore[no-untyped-def]
     """Settle cells in order of f; returns their number."""
     _list_goals(graph, goals)
     _open_around_start(graph, heap, goals, cost, parent, start, centre)
@@ -236,7 +239,7 @@ def _relax(graph, heap, cost, parent, cell, centre):  # type: ignore[no-untyped-
         place = heap.place[other]
         if place < 0:
             continue
-        offered = cost[cell] + _LENGTHS[bit] * graph.frame.h
+        offered = cost[cell] + LENGTHS[bit] * graph.frame.h
         if place == 0 or offered < cost[other]:
             cost[other] = offered
             parent[other] = cell
@@ -268,8 +271,9 @@ def _share_with_aliases(goals):  # type: ignore[no-untyped-def]
         goals.entry[k] = goals.entry[goals.alias[k]]
 
 
-@_compiled
+@_compiled_entry
 def _write_paths(frame, parents, entries, head, goals, points, count):  # type: ignore[no-untyped-def]
+    frame = Frame(*frame)
     capacity = points.shape[1]
     for k in range(len(goals)):
         if entries[k] == NO_ENTRY:

@@ -11,6 +11,9 @@ from jaxtyping import Bool, Float, Int, UInt32
 STEPS = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if (i, j, k) != (0, 0, 0)])
 """The 26 steps, in cells; bit b of a cell's ``moves`` permits step b."""
 
+LENGTHS = np.linalg.norm(STEPS, axis=1)
+"""Length of each step, in cells."""
+
 NO_ENTRY = -1
 """The goal was not reached."""
 DIRECT = -2
@@ -48,6 +51,18 @@ def make_frame(shape: tuple[int, ...], origin: Float[np.ndarray, "3"], resolutio
     nx, ny, nz = (int(n) for n in shape)
     x, y, z = (float(corner) for corner in origin)
     return Frame(nx, ny, nz, x, y, z, float(resolution))
+
+
+def two_free_cells() -> Graph:
+    """The smallest graph with a step: cells of 1 m in a row, the first at the origin."""
+    occupied = np.zeros((2, 1, 1), dtype=bool)
+    frame = make_frame(occupied.shape, np.zeros(3), 1.0)
+    return Graph(permitted_moves(occupied), np.ones(2, np.int32), frame, occupied, frame)
+
+
+def plain(graph: Graph) -> tuple:
+    """A graph as nested plain tuples."""
+    return (*graph[:2], tuple(graph.frame), graph.fine, tuple(graph.fine_frame))
 
 
 def permitted_moves(occupied: Bool[np.ndarray, "nx ny nz"]) -> UInt32[np.ndarray, "n"]:

@@ -132,6 +132,7 @@ def find_paths(
         raise InputError(f"capacity: have {capacity!r}, want at least 3 points per path")
     paths = _no_paths(start, len(goals), capacity)
     open_goals = _usable_goals(lattices, world, goals)
+    goals[~open_goals] = 0.0
     head, padded = _path_head(lattices, world, start)
     if padded:
         paths.notes[:] |= np.uint32(Note.START_PADDED)
