@@ -8,9 +8,8 @@ planes.
 Meshes: a lower bound from the exact squared distances D_i at the grid nodes n_i. Squared distance to any set is
 ``|p|^2`` plus a concave function of p (a minimum of affine ones), so by Jensen's inequality the trilinear weights w_i
 give ``d(p)^2 >= sum w_i D_i - sum w_i |n_i - p|^2 = sum w_i D_i - h^2 sum_axis t (1 - t)`` with t the point's
-fractions in its cell: never an
-overestimate. Where one flat or pointed feature is nearest throughout a cell it falls short by at most ``3/4 h^2`` in the
-square; where several compete, by at most ``sqrt(3)/2 h`` more in the distance.
+fractions in its cell: never an overestimate. Where one flat or pointed feature is nearest throughout a cell it falls
+short by at most ``3/4 h^2`` in the square; where several compete, by at most ``sqrt(3)/2 h`` more in the distance.
 
 Precision: float64 where the caller's JAX has 64-bit types enabled. Layout: the coordinates are separate arrays, so
 that each primitive is one vectorised pass over the points.
