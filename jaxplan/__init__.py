@@ -1,1 +1,48 @@
-"""jaxplan: sampling-based online planning for drone interception."""
+"""jaxplan: sampling-based online planning for drone interception.
+
+Names are imported when they are first used, so ``import jaxplan`` is instant and changes no setting of JAX.
+"""
+
+import importlib
+from typing import Any
+
+_HOMES = {
+    "jaxplan.config": ("InterceptConfig",),
+    "jaxplan.errors": ("FileError", "InputError", "JaxplanError", "ResourceError"),
+    "jaxplan.interception": ("Episode", "run"),
+    "jaxplan.io.targets": ("load_target",),
+    "jaxplan.metrics": ("episode_metrics",),
+    "jaxplan.minsnap.problem": ("minimum_snap",),
+    "jaxplan.planner": ("Planner", "PlannerConfig", "Plans", "build_planner", "select"),
+    "jaxplan.policy.constant_speed": ("constant_speed_policy",),
+    "jaxplan.prediction.candidates": ("Candidates", "candidates_from"),
+    "jaxplan.prediction.predictors": ("PredictionConfig", "build_predictor"),
+    "jaxplan.replanner": ("Replanner", "ReplannerConfig"),
+    "jaxplan.spline": ("FlatState", "PiecewisePolynomial", "hover"),
+    "jaxplan.status": ("Note", "PlanStatus", "Reason"),
+    "jaxplan.tracking.rollout": ("build_plant",),
+    "jaxplan.vehicle.flatness": ("differential_flatness",),
+    "jaxplan.vehicle.params": ("Vehicle", "load_vehicle"),
+    "jaxplan.viz.episode": ("draw_episode",),
+    "jaxplan.world.clearance": ("clearance",),
+    "jaxplan.world.obstacles": ("World",),
+    "jaxplan.world.scene": ("load_world",),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = sorted(_HOME_OF)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'jaxplan' has no attribute {name!r}")
+    from jaxplan.versions import require_supported_jax
+
+    require_supported_jax()
+    value = getattr(importlib.import_module(_HOME_OF[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -236,8 +236,8 @@ def _check_target(target: Target, world: World, distance: Callable) -> None:
         first = int(np.argmax(~(free > 0.0)))
         where = ", ".join(f"{value:.2f}" for value in target.position(times[first : first + 1])[0])
         raise InputError(
-            f"target {target.name!r}: at t = {times[first]:.2f} s it is at ({where}) m, outside world {world.name!r} or inside "
-            "an obstacle; give a target that flies in this world"
+            f"target {target.name!r}: at t = {times[first]:.2f} s it is at ({where}) m, outside world {world.name!r} "
+            "or inside an obstacle; give a target that flies in this world"
         )
 
 
@@ -246,8 +246,8 @@ def _check_start(position: Float[np.ndarray, "3"], world: World, vehicle: Vehicl
     if not free >= float(vehicle.radius):
         where = ", ".join(f"{value:.2f}" for value in position)
         raise InputError(
-            f"start ({where}) m: its clearance in world {world.name!r} is {free:.2f} m, want at least the vehicle's radius "
-            f"{float(vehicle.radius):.2f} m; choose --start inside the room and away from obstacles"
+            f"start ({where}) m: its clearance in world {world.name!r} is {free:.2f} m, want at least the vehicle's "
+            f"radius {float(vehicle.radius):.2f} m; choose --start inside the room and away from obstacles"
         )
 
 

@@ -24,13 +24,15 @@ def in_float64(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def safe_norm(x: Float[Array, "..."], axis: int = -1, keepdims: bool = False) -> Float[Array, "..."]:
-    """Euclidean norm whose gradient at 0 is 0 instead of NaN."""
+    """Euclidean norm whose gradient at 0 is 0 instead of NaN; NaN stays NaN."""
     squared = jnp.sum(x * x, axis=axis, keepdims=keepdims)
-    positive = squared > 0.0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1.0)), 0.0)
+    zero = squared == 0.0
+    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, squared)))
 
 
-def safe_divide(numerator: Float[Array, "..."], denominator: Float[Array, "..."], otherwise: float = 0.0) -> Float[Array, "..."]:
+def safe_divide(
+    numerator: Float[Array, "..."], denominator: Float[Array, "..."], otherwise: float = 0.0
+) -> Float[Array, "..."]:
     """``numerator / denominator``, and ``otherwise`` (with zero gradient) where the denominator is 0."""
     nonzero = denominator != 0.0
     return jnp.where(nonzero, numerator / jnp.where(nonzero, denominator, 1.0), otherwise)

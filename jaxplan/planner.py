@@ -26,6 +26,7 @@ from jaxplan.prediction.candidates import Candidates, candidates_from, reject_ea
 from jaxplan.records import record
 from jaxplan.search.knots import KnotConfig, resample, select_knots
 from jaxplan.search.lattice import Paths, SearchConfig, build_lattices, find_paths
+from jaxplan.search.shorten import shorten
 from jaxplan.selection import CheckConfig, Margins, check
 from jaxplan.selection import select as select_best
 from jaxplan.spline import FlatState, PiecewisePolynomial
@@ -153,7 +154,8 @@ def build_planner(
     def search(state: FlatState, goals: Float[np.ndarray, "k 3"], target: Float[np.ndarray, "3"]) -> Paths:
         start = np.asarray(state.pos)
         distance = float(np.linalg.norm(target - start))
-        return find_paths(lattices, world, start, goals, distance, capacity=config.path_capacity)
+        paths = find_paths(lattices, world, start, goals, distance, capacity=config.path_capacity)
+        return shorten(paths, lattices)
 
     @in_float64
     def plan_batch(state: FlatState, candidates: Candidates, timer: Timer | None = None) -> Plans:
@@ -234,8 +236,8 @@ def _compile_stations(config: PlannerConfig, world: World, vehicle: Vehicle, pol
 
     @jax.jit
     def route(paths: Float[Array, "k l 3"]) -> Routes:
-        knots = jax.vmap(lambda path: select_knots(path, config.knots))(paths)
         samples = jax.vmap(lambda path: resample(path, PATH_SAMPLES))(paths)
+        knots = jax.vmap(lambda path: select_knots(path, config.knots))(samples)
         return Routes(jnp.moveaxis(knots.waypoints, 0, -1), knots.count, jnp.moveaxis(samples, 0, -1))
 
     @jax.jit

@@ -47,7 +47,7 @@ OWNERS = {
     "flax": ("jaxplan/policy/",),
     "optax": ("jaxplan/policy/",),
     "sklearn": ("jaxplan/prediction/gmm.py",),
-    "numba": ("jaxplan/search/astar.py",),
+    "numba": ("jaxplan/search/",),
     "cyclopts": ("jaxplan/cli.py", "experiments/"),
     "matplotlib": ("jaxplan/viz/",),
     "viser": ("jaxplan/viz/",),

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import PchipInterpolator
 
-from jaxplan.errors import FileError, InputError
+from jaxplan.errors import InputError
 from jaxplan.io.target_log import read_target_log, resample
 from jaxplan.minsnap.problem import minimum_snap
 
@@ -99,7 +99,9 @@ def _recorded(path: Path, speed: float | None) -> Target:
     even = resample(log, min(_LOG_INTERVAL, log.report.duration / 2.0))
     curve = PchipInterpolator(even.times - even.times[0], even.positions, axis=0)
     duration = float(even.times[-1] - even.times[0])
-    return _scaled(path.stem, duration, lambda times, derivative: curve(times, derivative), speed, log.report.warnings())
+    return _scaled(
+        path.stem, duration, lambda times, derivative: curve(times, derivative), speed, log.report.warnings()
+    )
 
 
 def _scaled(

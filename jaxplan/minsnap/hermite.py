@@ -76,7 +76,9 @@ def _inverse(matrix: Matrix) -> Matrix:
 
 
 def _multiply(a: Matrix, b: Matrix) -> Matrix:
-    return [[sum((x * y for x, y in zip(row, column, strict=True)), Fraction(0)) for column in _transpose(b)] for row in a]
+    return [
+        [sum((x * y for x, y in zip(row, column, strict=True)), Fraction(0)) for column in _transpose(b)] for row in a
+    ]
 
 
 def _transpose(a: Matrix) -> Matrix:

@@ -78,7 +78,9 @@ def _checked(waypoints: np.ndarray, durations: np.ndarray) -> tuple[np.ndarray, 
     points = _array("waypoints", points, points.shape)
     times = _array("durations", durations, (len(points) - 1,))
     if not (times > 0.0).all():
-        raise InputError(f"minimum_snap: duration {int(np.argmin(times))} is {times.min()} s, want all of them positive")
+        raise InputError(
+            f"minimum_snap: duration {int(np.argmin(times))} is {times.min()} s, want all of them positive"
+        )
     if not (np.ptp(points, axis=0) > 0.0).any():
         raise InputError("minimum_snap: all waypoints are the same point; hold the position instead of planning a path")
     return points, times

@@ -84,7 +84,9 @@ def build_predictor(name: str, config: PredictionConfig, truth: Trajectory, seed
     return known[name]
 
 
-def _certain(observations: Observations, positions: Float[np.ndarray, "n 3"], offsets: Float[np.ndarray, "n"]) -> Candidates:
+def _certain(
+    observations: Observations, positions: Float[np.ndarray, "n 3"], offsets: Float[np.ndarray, "n"]
+) -> Candidates:
     return candidates_from(observations.positions[-1], positions, offsets, np.zeros(len(offsets)))
 
 
@@ -100,11 +102,15 @@ def _sampled(
     standard = rng.standard_normal((len(means), batch, 3))
     goals = means[:, None] + deviations[:, None, None] * standard
     log_density = -0.5 * (standard**2).sum(axis=-1) - 3.0 * np.log(deviations)[:, None]
-    return candidates_from(observations.positions[-1], goals.reshape(-1, 3), np.repeat(offsets, batch), log_density.reshape(-1))
+    return candidates_from(
+        observations.positions[-1], goals.reshape(-1, 3), np.repeat(offsets, batch), log_density.reshape(-1)
+    )
 
 
 def _velocity(observations: Observations) -> Float[np.ndarray, "3"]:
     """Least-squares velocity [m/s] of the observations; 0 when there is only one."""
     times = observations.times - observations.times.mean()
     spread = float(times @ times)
-    return times @ (observations.positions - observations.positions.mean(axis=0)) / spread if spread > 0.0 else np.zeros(3)
+    return (
+        times @ (observations.positions - observations.positions.mean(axis=0)) / spread if spread > 0.0 else np.zeros(3)
+    )

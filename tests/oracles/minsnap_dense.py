@@ -36,7 +36,10 @@ def _solve(waypoints, durations, initial, terminal, order):
     for derivative in range(1, order + 1):
         for segment, side, values in ((0, 0, initial), (m - 1, 1, terminal)):
             if not np.isnan(values[derivative - 1]).any():
-                add({(segment, k): v / times[segment] ** derivative for k, v in _row(n, derivative, side)}, values[derivative - 1])
+                add(
+                    {(segment, k): v / times[segment] ** derivative for k, v in _row(n, derivative, side)},
+                    values[derivative - 1],
+                )
     return _kkt(rows, right, times, order, m, n, d)
 
 
@@ -66,7 +69,9 @@ def _kkt(rows, right, times, order, m, n, d):
         for axis in range(d):
             for a in range(n):
                 for b in range(n):
-                    cost += gram[a][b] * times[i] ** (1 - 2 * order) * coefficients[i][a][axis] * coefficients[i][b][axis]
+                    cost += (
+                        gram[a][b] * times[i] ** (1 - 2 * order) * coefficients[i][a][axis] * coefficients[i][b][axis]
+                    )
     return np.array(coefficients, dtype=float), float(cost)
 
 

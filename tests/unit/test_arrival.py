@@ -23,7 +23,9 @@ def solve(elasticity, least, arrival_times, config=CONFIG):
     initial = np.zeros((4, 3))
     initial[0, 0] = 1.0
     with jax.enable_x64(True):
-        return jax.jit(lambda d, t: match_arrival(decode, d, t, config))(initial, np.asarray(arrival_times, dtype=float))
+        return jax.jit(lambda d, t: match_arrival(decode, d, t, config))(
+            initial, np.asarray(arrival_times, dtype=float)
+        )
 
 
 def _split(total):
@@ -32,7 +34,7 @@ def _split(total):
 
 @pytest.mark.parametrize("elasticity", [-0.95, -0.9, -0.5, 0.0, 0.5, 2.0])
 def test_meets_the_arrival_time_whatever_the_elasticity(elasticity):
-    """T(alpha) = least * alpha^(1 + elasticity); the paper's iteration crawls or oscillates near -1 and diverges beyond 1."""
+    """T(alpha) = least * alpha^(1 + elasticity); the paper's iteration crawls near -1 and diverges beyond 1."""
     goals = np.array([1.0, 1.001, 1.5, 2.0])
     with jax.enable_x64(True):
         result = solve(np.full(4, elasticity), np.ones(4), goals)

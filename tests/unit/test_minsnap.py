@@ -2,15 +2,15 @@
 
 import json
 
-import numpy as np
-import pytest
-from oracles.minsnap_dense import minimum_derivative
-
 import jax
 import jax.numpy as jnp
+import numpy as np
+import pytest
+
 from jaxplan.errors import InputError
 from jaxplan.minsnap import hermite
 from jaxplan.minsnap.problem import interpolate, minimum_snap
+from oracles.minsnap_dense import minimum_derivative
 
 
 def random_problem(seed, segments):

@@ -1,5 +1,6 @@
-"""Knots against a plain transcription in mpmath-free NumPy loops, and the degenerate cases of the catalogue."""
+"""Knots against the paper's formulas written out in plain loops, and degenerate paths."""
 
+import itertools
 import math
 
 import jax
@@ -30,7 +31,7 @@ def circumradius(a, b, c):
 def test_parameter_matches_the_paper_on_a_random_path():
     path = np.random.default_rng(0).normal(size=(9, 3)).cumsum(axis=0)
     distance = [0.0]
-    for a, b in zip(path[:-1], path[1:], strict=True):
+    for a, b in itertools.pairwise(path):
         distance.append(distance[-1] + math.dist(a, b))
     curvature = [0.0, 0.0]
     for i in range(1, 8):
