@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 import jaxplan
-from jaxplan.minsnap.problem import minimum_snap
+from jaxplan.io.targets import target_spline
 from jaxplan.numerics import in_float64
 from jaxplan.world.clearance import clearance, wall_clearance
 from jaxplan.world.scene import load_world
@@ -50,7 +50,7 @@ def trajectory(world, rng, waypoints=7):
     while True:
         chain = draw_waypoints(pool, rng, waypoints)
         durations = np.linalg.norm(np.diff(chain, axis=0), axis=1)
-        spline = minimum_snap(chain, durations)
+        spline = target_spline(chain, durations)
         curve = spline.evaluate(np.linspace(0.0, float(spline.duration), 1000))[:, :3]
         if free_distance(curve).min() >= MARGIN:
             return chain, durations

@@ -15,6 +15,7 @@ from scipy.interpolate import PchipInterpolator
 from jaxplan.errors import InputError
 from jaxplan.io.target_log import read_target_log, resample
 from jaxplan.minsnap.problem import minimum_snap
+from jaxplan.spline import PiecewisePolynomial
 
 DEFAULT_SPEED = 1.0
 """Maximum speed [m/s] of a stored target when none is asked for."""
@@ -84,9 +85,16 @@ def load_target(name_or_path: str | None, *, world: str, speed: float | None = N
     return _recorded(path, speed)
 
 
+def target_spline(waypoints: Float[np.ndarray, "m+1 3"], durations: Float[np.ndarray, "m"]) -> PiecewisePolynomial:
+    """Minimum snap through ``waypoints`` [m], already flying towards the second one at the start, at rest at the end."""
+    initial = np.zeros((4, 3))
+    initial[0] = (waypoints[1] - waypoints[0]) / durations[0]
+    return minimum_snap(waypoints, durations, initial=initial)
+
+
 def _stored(world: str, name: str, speed: float) -> Target:
     table = json.loads((_STORED / f"{world}_targets.json").read_text())["trajectories"][name]
-    spline = minimum_snap(np.array(table["waypoints"]), np.array(table["durations"]))
+    spline = target_spline(np.array(table["waypoints"]), np.array(table["durations"]))
 
     def motion(times: Float[np.ndarray, "n"], derivative: int) -> Float[np.ndarray, "n 3"]:
         return spline.evaluate(times, derivative)[..., :3]

@@ -1,0 +1,114 @@
+"""Checks against brute force on dense samples, and the choice among plans with NaN and with nothing to choose."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxplan.errors import InputError
+from jaxplan.minsnap.batch import fit
+from jaxplan.selection import CheckConfig, check, select
+from jaxplan.spline import hover
+from jaxplan.status import Reason
+from jaxplan.vehicle.flatness import differential_flatness
+from jaxplan.vehicle.params import load_vehicle
+from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.world.obstacles import World, aligned_boxes, make_obstacles
+
+LANES = 24
+
+
+@pytest.fixture(scope="module")
+def room():
+    boxes = aligned_boxes(np.array([[-0.5, -0.5, 0.0], [2.0, 1.0, 0.0]]), np.array([[0.5, 0.5, 3.0], [2.1, 1.1, 3.0]]))
+    bounds = np.array([[-6.0, -6, -3], [6, 6, 3]])
+    return World(name="test", bounds=bounds, obstacles=make_obstacles(boxes=boxes), keep_in=0.2)
+
+
+@pytest.fixture(scope="module")
+def batch(room):
+    """Random splines from one hover state, with paths through their waypoints and the checks' verdict."""
+    rng = np.random.default_rng(0)
+    waypoints = rng.uniform(-4, 4, (5, 3, LANES)) * np.array([1.0, 1.0, 0.4])[:, None]
+    waypoints[0] = np.array([-3.0, -3.0, 0.0])[:, None]
+    durations = np.linalg.norm(np.diff(waypoints, axis=0), axis=1) / rng.uniform(1.0, 4.0, LANES)
+    durations[3, ::3] = 0.0
+    paths = np.stack([np.linspace(0, 1, 64)[:, None] * (waypoints[4, :, k] - waypoints[0, :, k]) for k in range(LANES)], -1)
+    paths = paths + waypoints[0]
+    with jax.enable_x64(True):
+        state = hover(waypoints[0, :, 0])
+        splines = jax.jit(lambda w, d: fit(state, w, d, 3.0))(waypoints, durations)
+        margins = jax.jit(lambda s, p: check(s, p, room, load_vehicle(), CheckConfig()))(splines, paths)
+    return splines, paths, margins
+
+
+def dense(splines, lane, count=4000):
+    spline = splines.spline(lane)
+    return spline, np.linspace(0.0, float(spline.duration), count)
+
+
+def test_clearance_is_a_lower_bound_and_a_close_one(room, batch):
+    splines, _, margins = batch
+    for lane in range(LANES):
+        spline, times = dense(splines, lane)
+        with jax.enable_x64(True):
+            points = spline.evaluate(times)[:, :3]
+            true = float(jnp.min(jnp.minimum(clearance(room, points), wall_clearance(room, points))))
+        assert float(margins.clearance[lane]) <= true + 1e-9
+        speed = np.linalg.norm(spline.evaluate(times, 1)[:, :3], axis=1).max()
+        half_piece = 0.5 * speed * float(spline.durations.max()) / CheckConfig().samples_per_segment
+        assert float(margins.clearance[lane]) >= true - 1.5 * half_piece
+
+
+def test_rotor_margin_matches_flatness_on_dense_samples(batch):
+    splines, _, margins = batch
+    vehicle = load_vehicle()
+    for lane in range(0, LANES, 4):
+        spline, times = dense(splines, lane, 800)
+        with jax.enable_x64(True):
+            flat = jax.vmap(lambda s: differential_flatness(vehicle, s))(spline.state(times))
+        speeds = np.asarray(flat.rotor_speeds)
+        true = float(np.minimum(speeds - vehicle.rotor_speed_min, vehicle.rotor_speed_max - speeds).min())
+        assert float(margins.rotor_speed[lane]) == pytest.approx(true, abs=0.12 * abs(true) + 30.0)
+
+
+def test_deviation_is_the_largest_distance_at_equal_shares_of_length(batch):
+    splines, paths, margins = batch
+    for lane in range(0, LANES, 5):
+        spline, times = dense(splines, lane)
+        points = spline.evaluate(times)[:, :3]
+        share = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        share /= share[-1]
+        on_path = np.stack([np.interp(share, np.linspace(0, 1, 64), paths[:, axis, lane]) for axis in range(3)], axis=1)
+        true = np.linalg.norm(points - on_path, axis=1).max()
+        assert float(margins.deviation[lane]) == pytest.approx(true, rel=0.05, abs=0.05)
+
+
+def test_nan_is_a_reason_and_stays_in_its_lane(room):
+    waypoints = np.repeat(np.linspace([-3.0, -3, 0], [-3, 3, 0], 4)[..., None], 3, axis=-1)
+    durations = np.ones((3, 3))
+    waypoints[2, 0, 1] = np.nan
+    durations[1, 2] = np.nan
+    with jax.enable_x64(True):
+        splines = fit(hover(waypoints[0, :, 0]), jnp.asarray(waypoints), jnp.asarray(durations), 3.0)
+        margins = check(splines, jnp.asarray(waypoints), room, load_vehicle(), CheckConfig())
+    reasons = np.asarray(margins.reasons)
+    assert reasons[0] == 0
+    assert reasons[1] & int(Reason.NONFINITE)
+    assert reasons[1] & int(Reason.CLEARANCE)
+    assert reasons[1] & int(Reason.DEVIATION)
+    assert reasons[2] != 0
+
+
+def test_selection_takes_the_best_usable_and_never_a_default():
+    assert select(np.array([1.0, 3.0, 2.0]), np.zeros(3, np.uint32)) == 1
+    assert select(np.array([1.0, 3.0, 2.0]), np.array([0, 4, 0], np.uint32)) == 2
+    assert select(np.array([np.nan, 1.0, np.inf]), np.zeros(3, np.uint32)) == 1
+    assert select(np.array([5.0, 5.0]), np.array([1, 2], np.uint32)) == -1
+    assert select(np.zeros(0), np.zeros(0, np.uint32)) == -1
+
+
+def test_configuration_is_checked():
+    for wrong in ({"max_deviation": 0.0}, {"tracking_margin": -1.0}, {"samples_per_segment": 1}):
+        with pytest.raises(InputError):
+            CheckConfig(**wrong)
