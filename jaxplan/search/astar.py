@@ -12,30 +12,30 @@ of the cost to any one goal, so the search ends only when no open cell can impro
 h(goal_k)). Every path is optimal on its lattice. Goals in another connected component are left out beforehand. A
 budget bounds the number of settled cells; goals whose paths are not proven optimal by then count as not reached.
 
-Only the two entry points are cached by numba. They take arrays, numbers and plain tuples, because a cache that names
-classes of an older version cannot be read. The cache is keyed by this file: after a change of ``graph.py`` or
-``heap.py``, save this file again.
+Only the entry points are cached by numba. They take arrays, numbers and plain tuples, because a cache that names
+classes of an older version cannot be read, and they hold the digest of the sources (``jaxplan.search.compiled``).
 """
 
+import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxplan.search import graph as g
+from jaxplan.search.compiled import entry_point, inner, source_digest
 from jaxplan.search.graph import DIRECT, LENGTHS, NO_ENTRY, STEPS, Frame, Goals, Graph, make_goals, plain
 from jaxplan.search.heap import Heap, make_heap, pop, push
+from jaxplan.search.sight import sees
 
 _RECHECK = 32
 """Settled cells between updates of the bound that ends the search; arbitrary."""
 
-_compiled = numba.njit(nogil=True)
-_compiled_entry = numba.njit(cache=True, nogil=True)
-_push, _pop = _compiled(push), _compiled(pop)
-_index, _flat, _indices = _compiled(g.index), _compiled(g.flat), _compiled(g.indices)
-_centre_of, _neighbour = _compiled(g.centre_of), _compiled(g.neighbour)
-_at, _put, _distance = _compiled(g.at), _compiled(g.put), _compiled(g.distance)
+_push, _pop = inner(push), inner(pop)
+_index, _flat, _indices = inner(g.index), inner(g.flat), inner(g.indices)
+_centre_of, _neighbour = inner(g.centre_of), inner(g.neighbour)
+_at, _put, _distance = inner(g.at), inner(g.put), inner(g.distance)
 
 
 class Found(NamedTuple):
@@ -68,7 +68,7 @@ def search(
     lists = make_goals(goals, wanted, centre, cells)
     cost, parent = np.empty(cells), np.empty(cells, np.int32)
     ends = tuple(start.tolist()), tuple(centre.tolist())
-    expanded = _search(plain(graph), tuple(heap), tuple(lists), cost, parent, *ends, budget)
+    expanded = _compiled_search()(plain(graph), tuple(heap), tuple(lists), cost, parent, *ends, budget)
     return Found(cost=lists.cost, entry=lists.entry, parent=parent, expanded=int(expanded))
 
 
@@ -84,7 +84,7 @@ def write_paths(
 
     ``count`` becomes the number of points of the whole path; where that exceeds the capacity the row is its prefix.
     """
-    _write_paths(tuple(graph.frame), found.parent, found.entry, head, goals, points, count)
+    _compiled_write()(tuple(graph.frame), found.parent, found.entry, head, goals, points, count)
 
 
 def warmup() -> None:
@@ -95,15 +95,34 @@ def warmup() -> None:
     write_paths(graph, found, np.zeros((1, 3)), goals, points, count)
 
 
-@_compiled_entry
-def _search(graph, heap, goals, cost, parent, start, centre, budget):  # type: ignore[no-untyped-def]
-    """Name the parts of the plain tuples and search; returns the number of settled cells."""
-    moves, components, frame, fine, fine_frame = graph
-    graph = Graph(moves, components, Frame(*frame), fine, Frame(*fine_frame))
-    return _settle_all(graph, Heap(*heap), Goals(*goals), cost, parent, start, centre, budget)
+@functools.cache
+def _compiled_search() -> Callable[..., int]:
+    version = source_digest()
+
+    @entry_point
+    def entry(graph, heap, goals, cost, parent, start, centre, budget):  # type: ignore[no-untyped-def]
+        """Name the parts of the plain tuples and search; returns the number of settled cells."""
+        _ = version
+        moves, components, frame, fine, fine_frame = graph
+        graph = Graph(moves, components, Frame(*frame), fine, Frame(*fine_frame))
+        return _settle_all(graph, Heap(*heap), Goals(*goals), cost, parent, start, centre, budget)
+
+    return entry  # type: ignore[no-any-return]
 
 
-@_compiled
+@functools.cache
+def _compiled_write() -> Callable[..., None]:
+    version = source_digest()
+
+    @entry_point
+    def entry(frame, parents, entries, head, goals, points, count):  # type: ignore[no-untyped-def]
+        _ = version
+        _write_paths(Frame(*frame), parents, entries, head, goals, points, count)
+
+    return entry  # type: ignore[no-any-return]
+
+
+@inner
 def _settle_all(graph, heap, goals, cost, parent, start, centre, budget):  # type: ignore[no-untyped-def]
     """Settle cells in order of f; returns their number."""
     _list_goals(graph, goals)
@@ -125,7 +144,7 @@ def _settle_all(graph, heap, goals, cost, parent, start, centre, budget):  # typ
     return expanded
 
 
-@_compiled
+@inner
 def _list_goals(graph, goals):  # type: ignore[no-untyped-def]
     """Enter each wanted goal once in the list of its cell, and mark the cells around it."""
     for k in range(len(goals.points)):
@@ -148,7 +167,7 @@ def _list_goals(graph, goals):  # type: ignore[no-untyped-def]
                 goals.nearby[near] = True
 
 
-@_compiled
+@inner
 def _open_around_start(graph, heap, goals, cost, parent, start, centre):  # type: ignore[no-untyped-def]
     """Open the free cells that the start sees, and join the goals next to it directly."""
     i, j, m = _cell_of(graph.frame, start)
@@ -158,18 +177,18 @@ def _open_around_start(graph, heap, goals, cost, parent, start, centre):  # type
             continue
         k = goals.head[cell]
         while k > 0:
-            if _sees(graph.fine, graph.fine_frame, start, _at(goals.points, k - 1)):
+            if sees(graph.fine, graph.fine_frame, start, _at(goals.points, k - 1)):
                 goals.cost[k - 1] = _distance(start, _at(goals.points, k - 1))
                 goals.entry[k - 1] = DIRECT
             k = goals.following[k - 1]
         middle = _centre_of(graph.frame, *_indices(graph.frame, cell))
-        if graph.components[cell] > 0 and _sees(graph.fine, graph.fine_frame, start, middle):
+        if graph.components[cell] > 0 and sees(graph.fine, graph.fine_frame, start, middle):
             cost[cell] = _distance(start, middle)
             parent[cell] = -1
             _push(heap, cell, cost[cell] + _distance(middle, centre))
 
 
-@_compiled
+@inner
 def _drop_unreachable(graph, heap, goals):  # type: ignore[no-untyped-def]
     """Unwant the goals that no opened component leads to; returns how many stay wanted."""
     remaining = 0
@@ -185,19 +204,19 @@ def _drop_unreachable(graph, heap, goals):  # type: ignore[no-untyped-def]
     return remaining
 
 
-@_compiled
+@inner
 def _sees_open_component(graph, heap, i, j, m, goal):  # type: ignore[no-untyped-def]
     """Whether a goal in cell (i, j, m) is in sight of a neighbour that is connected to the start."""
     for number in range(27):
         cell = _neighbour(graph.frame, i, j, m, number)
         if cell >= 0 and _is_open_component(graph, heap, cell):
             middle = _centre_of(graph.frame, *_indices(graph.frame, cell))
-            if _sees(graph.fine, graph.fine_frame, middle, goal):
+            if sees(graph.fine, graph.fine_frame, middle, goal):
                 return True
     return False
 
 
-@_compiled
+@inner
 def _is_open_component(graph, heap, cell):  # type: ignore[no-untyped-def]
     """Whether a cell is connected to one that was opened around the start."""
     if graph.components[cell] == 0:
@@ -208,7 +227,7 @@ def _is_open_component(graph, heap, cell):  # type: ignore[no-untyped-def]
     return False
 
 
-@_compiled
+@inner
 def _improve_goals(graph, goals, cell, cost):  # type: ignore[no-untyped-def]
     """Offer a settled cell as the entry of the goals around it."""
     i, j, m = _indices(graph.frame, cell)
@@ -220,13 +239,13 @@ def _improve_goals(graph, goals, cell, cost):  # type: ignore[no-untyped-def]
         k = goals.head[near]
         while k > 0:
             offered = cost + _distance(middle, _at(goals.points, k - 1))
-            if offered < goals.cost[k - 1] and _sees(graph.fine, graph.fine_frame, middle, _at(goals.points, k - 1)):
+            if offered < goals.cost[k - 1] and sees(graph.fine, graph.fine_frame, middle, _at(goals.points, k - 1)):
                 goals.cost[k - 1] = offered
                 goals.entry[k - 1] = cell
             k = goals.following[k - 1]
 
 
-@_compiled
+@inner
 def _relax(graph, heap, cost, parent, cell, centre):  # type: ignore[no-untyped-def]
     """Offer a settled cell as the predecessor of its neighbours."""
     i, j, m = _indices(graph.frame, cell)
@@ -246,7 +265,7 @@ def _relax(graph, heap, cost, parent, cell, centre):  # type: ignore[no-untyped-
             _push(heap, other, offered + _distance(_centre_of(graph.frame, a, b, c), centre))
 
 
-@_compiled
+@inner
 def _bound(goals):  # type: ignore[no-untyped-def]
     """No cell of at least this f can improve a goal."""
     bound = 0.0
@@ -256,7 +275,7 @@ def _bound(goals):  # type: ignore[no-untyped-def]
     return bound
 
 
-@_compiled
+@inner
 def _forget_unproven(goals, least):  # type: ignore[no-untyped-def]
     """Where the budget ended the search, drop what an open cell could still improve; ``least`` is the least open f."""
     for k in range(len(goals.points)):
@@ -264,16 +283,15 @@ def _forget_unproven(goals, least):  # type: ignore[no-untyped-def]
             goals.cost[k], goals.entry[k] = np.inf, NO_ENTRY
 
 
-@_compiled
+@inner
 def _share_with_aliases(goals):  # type: ignore[no-untyped-def]
     for k in range(len(goals.points)):
         goals.cost[k] = goals.cost[goals.alias[k]]
         goals.entry[k] = goals.entry[goals.alias[k]]
 
 
-@_compiled_entry
+@inner
 def _write_paths(frame, parents, entries, head, goals, points, count):  # type: ignore[no-untyped-def]
-    frame = Frame(*frame)
     capacity = points.shape[1]
     for k in range(len(goals)):
         if entries[k] == NO_ENTRY:
@@ -294,46 +312,7 @@ def _write_paths(frame, parents, entries, head, goals, points, count):  # type: 
             _put(points, k, position, _at(goals, k))
 
 
-@_compiled
-def _sees(blocked, frame, a, b):  # type: ignore[no-untyped-def]
-    """Whether the segment a-b crosses no blocked cell, b's own cell left out.
-
-    Walks from cell to cell through the face that the segment leaves by.
-    """
-    i, di, ni, ti, hi = _axis_walk(frame.x, frame.h, frame.nx, a[0], b[0])
-    j, dj, nj, tj, hj = _axis_walk(frame.y, frame.h, frame.ny, a[1], b[1])
-    m, dm, nm, tm, hm = _axis_walk(frame.z, frame.h, frame.nz, a[2], b[2])
-    for _ in range(ni + nj + nm):
-        if blocked[i, j, m]:
-            return False
-        if ti <= tj and ti <= tm:
-            i, ni = i + di, ni - 1
-            ti = ti + hi if ni > 0 else np.inf
-        elif tj <= tm:
-            j, nj = j + dj, nj - 1
-            tj = tj + hj if nj > 0 else np.inf
-        else:
-            m, nm = m + dm, nm - 1
-            tm = tm + hm if nm > 0 else np.inf
-    return True
-
-
-@_compiled
-def _axis_walk(origin, h, count, a, b):  # type: ignore[no-untyped-def]
-    """Along one axis of a segment: first cell, direction, number of faces to cross, and the fractions of the segment at
-    the first face and between faces."""
-    u, v = (a - origin) / h, (b - origin) / h
-    cell = _index(a, origin, h, count)
-    faces = abs(_index(b, origin, h, count) - cell)
-    if faces == 0:
-        return cell, 1, faces, np.inf, np.inf
-    between = 1.0 / abs(v - u)
-    if v > u:
-        return cell, 1, faces, (cell + 1 - u) * between, between
-    return cell, -1, faces, (u - cell) * between, between
-
-
-@_compiled
+@inner
 def _cell_of(frame, p):  # type: ignore[no-untyped-def]
     return (
         _index(p[0], frame.x, frame.h, frame.nx),

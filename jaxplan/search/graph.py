@@ -3,6 +3,7 @@
 The untyped functions at the end are written for numba; ``jaxplan.search.astar`` compiles them.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -80,7 +81,7 @@ def permitted_moves(occupied: Bool[np.ndarray, "nx ny nz"]) -> UInt32[np.ndarray
 
 def index(x, origin, h, count):  # type: ignore[no-untyped-def]
     """The cell along one axis; the nearest one for a point on or beyond the lattice's outer faces."""
-    return min(max(int(np.floor((x - origin) / h)), 0), count - 1)
+    return min(max(math.floor((x - origin) / h), 0), count - 1)
 
 
 class Goals(NamedTuple):
@@ -154,4 +155,4 @@ def put(points, k, position, p):  # type: ignore[no-untyped-def]
 
 def distance(p, q):  # type: ignore[no-untyped-def]
     """Distance between two points [m]."""
-    return np.sqrt((p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2)
+    return math.sqrt((p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2)

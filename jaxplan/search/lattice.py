@@ -6,27 +6,33 @@ not reach a goal, the next finer lattice is tried for the goals that are left; o
 """
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt32
+from jaxtyping import Bool, Float, Int, UInt32
 from scipy import ndimage
 
 from jaxplan.errors import InputError
 from jaxplan.numerics import in_float64
 from jaxplan.records import record, static
 from jaxplan.search import astar
-from jaxplan.search.graph import NO_ENTRY, Graph, make_frame, permitted_moves
+from jaxplan.search.graph import NO_ENTRY, Frame, Graph, make_frame, permitted_moves
 from jaxplan.status import Note, Reason
-from jaxplan.world.clearance import clearance, wall_clearance
 from jaxplan.world.obstacles import World
-from jaxplan.world.occupancy import PADDING, RESOLUTIONS, Lattice, cell_centres, occupancy_lattices
+from jaxplan.world.occupancy import (
+    CHUNK,
+    PADDING,
+    RESOLUTIONS,
+    Lattice,
+    cell_centres,
+    compiled_clearance,
+    occupancy_lattices,
+)
 
 _ESCAPES = 128
 """Free cells near a padded start whose line of sight is examined; arbitrary."""
-_SAMPLES = 64
-"""Points per line of sight: one line of 1 m is resolved to 16 mm."""
+_SAMPLES = CHUNK // _ESCAPES
+"""Points per line of sight, 64: one line of 1 m is resolved to 16 mm, and all lines are one compiled chunk."""
 _ESCAPE_RADIUS = 1.5
 """m; arbitrary, three times the padding."""
 _GOALS = 512
@@ -44,7 +50,11 @@ class SearchConfig:
     padding: float = PADDING
     """Distance that paths keep from obstacles [m]."""
     node_budget: int = 2_000_000
-    """Cells settled at most per search (arbitrary: about half a second)."""
+    """Cells settled at most per search of ``find_paths`` (arbitrary: about half a second)."""
+    first_budget: int = 6_000
+    """Cells that ``find_routes`` settles on a lattice before it turns to the next coarser one (measured: 2 ms)."""
+    last_budget: int = 30_000
+    """Cells that ``find_routes`` settles on a lattice once no coarser one has reached a goal (measured: 10 ms)."""
 
     def __post_init__(self) -> None:
         fractions = self.distance_fractions
@@ -55,8 +65,9 @@ class SearchConfig:
             )
         if not 0.0 <= self.padding < np.inf:
             raise InputError(f"padding: have {self.padding!r}, want a distance of at least 0 m")
-        if not self.node_budget >= 1:
-            raise InputError(f"node_budget: have {self.node_budget!r}, want at least 1 cell")
+        for name in ("node_budget", "first_budget", "last_budget"):
+            if not getattr(self, name) >= 1:
+                raise InputError(f"{name}: have {getattr(self, name)!r}, want at least 1 cell")
 
 
 @record
@@ -99,6 +110,20 @@ class Paths:
     """Cells settled, over all lattices tried."""
 
 
+class Request(NamedTuple):
+    """A search under way."""
+
+    head: Any
+    """The points before the search, (h, 3) [m]: the start, and a free cell to escape to if the start's own is
+    occupied; None where there is no way out."""
+    goals: Float[np.ndarray, "k 3"]
+    """[m]; unusable ones are 0."""
+    open: Bool[np.ndarray, "k"]
+    """Usable goals without a path so far."""
+    paths: Paths
+    """What is found; its arrays are written in place."""
+
+
 def build_lattices(world: World, config: SearchConfig | None = None) -> Lattices:
     """The occupancy lattices of ``world``, prepared for search. Raises ``InputError`` for a room that is too large."""
     config = SearchConfig() if config is None else config
@@ -127,37 +152,47 @@ def find_paths(
     ``target_distance`` [m] between the drones selects the lattice. A goal that is not finite, outside the room's
     keep-in box or closer to an obstacle than the padding has NO_PATH, as has every goal if the start sees no free cell.
     """
+    request = open_request(lattices, world, start, goals, capacity)
+    if request.head is None:
+        return request.paths
+    expanded = 0
+    first = choose_level(lattices, target_distance, world.diagonal)
+    for level in range(first, -1, -1):
+        if not request.open.any():
+            break
+        expanded += _search_level(lattices, level, request)
+    mark_finer(lattices, first, request.paths)
+    return finish(request.paths, expanded)
+
+
+def open_request(lattices: Lattices, world: World, start: object, goals: object, capacity: int) -> Request:
+    """Check and copy the arguments of a search, sort out unusable goals and find the way out of padding."""
     start, goals = _points(start, "start", (3,)), _points(goals, "goals", (-1, 3))
     if capacity < 3:
         raise InputError(f"capacity: have {capacity!r}, want at least 3 points per path")
     paths = _no_paths(start, len(goals), capacity)
-    open_goals = _usable_goals(lattices, world, goals)
-    goals[~open_goals] = 0.0
+    usable = _usable_goals(lattices, world, goals)
+    goals[~usable] = 0.0
     head, padded = _path_head(lattices, world, start)
     if padded:
         paths.notes[:] |= np.uint32(Note.START_PADDED)
-    if head is None:
-        return paths
-    expanded = 0
-    first = choose_level(lattices, target_distance, world.diagonal)
-    for level in range(first, -1, -1):
-        if not open_goals.any():
-            break
-        expanded += _search_level(lattices, level, head, goals, open_goals, paths)
-        open_goals &= paths.count == 0
-        paths.notes[paths.resolution < lattices.levels[first].grid.resolution] |= np.uint32(Note.FINER_LATTICE)
-    return _finish(paths, capacity, expanded)
+    return Request(head=head, goals=goals, open=usable, paths=paths)
 
 
 def warmup(lattices: Lattices, world: World, capacity: int = 256) -> None:
     """Compile everything that ``find_paths`` may call for this world."""
     astar.warmup()
-    with jax.enable_x64(True):
-        _exact_margins(world, np.zeros((1, 3)))
-        _lines_are_clear(world, np.zeros(3), np.zeros((_ESCAPES, 3)))
+    warm_up_clearance(world)
     middle = np.asarray(world.bounds).mean(axis=0)
     for distance in (0.0, np.inf):
         find_paths(lattices, world, middle, middle[None], distance, capacity)
+
+
+@in_float64
+def warm_up_clearance(world: World) -> None:
+    """Compile the clearance for the shapes that the search asks for."""
+    _exact_margins(world, np.zeros((1, 3)))
+    _lines_are_clear(world, np.zeros(3), np.zeros((_ESCAPES, 3)))
 
 
 def _prepare(grid: Lattice) -> SearchLattice:
@@ -191,8 +226,14 @@ def _no_paths(start: np.ndarray, count: int, capacity: int) -> Paths:
     )
 
 
-def _finish(paths: Paths, capacity: int, expanded: int) -> Paths:
+def mark_finer(lattices: Lattices, first: int, paths: Paths) -> None:
+    """Note which paths needed a finer lattice than the ``first`` one."""
+    paths.notes[paths.resolution < lattices.levels[first].grid.resolution] |= np.uint32(Note.FINER_LATTICE)
+
+
+def finish(paths: Paths, expanded: int) -> Paths:
     """Reasons from what was found, and counts that respect the capacity."""
+    capacity = paths.points.shape[1]
     reasons = np.where(paths.count == 0, np.uint32(Reason.NO_PATH), np.uint32(0))
     reasons |= np.where(paths.count > capacity, np.uint32(Reason.PREFIX_ONLY), np.uint32(0))
     return Paths(
@@ -206,28 +247,33 @@ def _finish(paths: Paths, capacity: int, expanded: int) -> Paths:
     )
 
 
-def _search_level(
-    lattices: Lattices, level: int, head: np.ndarray, goals: np.ndarray, wanted: Bool[np.ndarray, "k"], paths: Paths
-) -> int:
-    """Search one lattice for the wanted goals and write what is found into ``paths``; returns the settled cells."""
-    graph = _graph(lattices, level)
-    found = astar.search(graph, head[-1], goals, wanted, lattices.config.node_budget)
-    astar.write_paths(graph, found, head, goals, paths.points, paths.count)
+def _search_level(lattices: Lattices, level: int, request: Request) -> int:
+    """Search one lattice for the open goals and write what is found; returns the settled cells."""
+    graph, head, paths = level_graph(lattices, level), request.head, request.paths
+    found = astar.search(graph, head[-1], request.goals, request.open, lattices.config.node_budget)
+    astar.write_paths(graph, found, head, request.goals, paths.points, paths.count)
     reached = found.entry != NO_ENTRY
     paths.resolution[reached] = graph.frame.h
     paths.length[reached] = found.cost[reached] + np.linalg.norm(np.diff(head, axis=0), axis=1).sum()
+    request.open[reached] = False
     return found.expanded
 
 
-def _graph(lattices: Lattices, level: int) -> Graph:
+def level_graph(lattices: Lattices, level: int) -> Graph:
+    """What the search walks on at one level."""
     lattice, finest = lattices.levels[level], lattices.levels[0].grid
     return Graph(
         moves=lattice.moves,
         components=lattice.components,
-        frame=make_frame(lattice.grid.shape, lattice.grid.origin, lattice.grid.resolution),
+        frame=grid_frame(lattice.grid),
         fine=finest.near_obstacle,
-        fine_frame=make_frame(finest.shape, finest.origin, finest.resolution),
+        fine_frame=grid_frame(finest),
     )
+
+
+def grid_frame(grid: Lattice) -> Frame:
+    """Where the cells of a lattice lie."""
+    return make_frame(grid.shape, grid.origin, grid.resolution)
 
 
 def _usable_goals(lattices: Lattices, world: World, goals: Float[np.ndarray, "k 3"]) -> Bool[np.ndarray, "k"]:
@@ -283,24 +329,21 @@ def _exact_margins(world: World, points: Float[np.ndarray, "n 3"]) -> tuple[np.n
     """Distances [m] to the nearest obstacle and to the nearest face, for at most ``_GOALS`` points."""
     filled = np.zeros((_GOALS, 3))
     filled[: len(points)] = points
-    to_obstacle, to_wall = _compiled_margins(world, filled)
-    return np.asarray(to_obstacle)[: len(points)], np.asarray(to_wall)[: len(points)]
+    to_obstacle = np.asarray(compiled_clearance(world.obstacles, filled))[: len(points)]
+    lower, upper = np.asarray(world.bounds)
+    return to_obstacle, np.minimum(points - lower, upper - points).min(axis=-1)
 
 
-@jax.jit
-def _compiled_margins(world: World, points: Float[Array, "n 3"]) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
-    return clearance(world, points), wall_clearance(world, points)
-
-
-@jax.jit
-def _lines_are_clear(world: World, start: Float[Array, "3"], ends: Float[Array, "n 3"]) -> Bool[Array, "n"]:
-    """Whether the segments from ``start`` to each of ``ends`` touch no real obstacle.
+def _lines_are_clear(
+    world: World, start: Float[np.ndarray, "3"], ends: Float[np.ndarray, "n 3"]
+) -> Bool[np.ndarray, "n"]:
+    """Whether the segments from ``start`` to each of ``_ESCAPES`` ends touch no real obstacle.
 
     Clearance is 1-Lipschitz: between two samples, s apart, whose clearances sum to more than s, nothing can be touched.
     A NaN end is not clear.
     """
-    fraction = jnp.linspace(0.0, 1.0, _SAMPLES)
+    fraction = np.linspace(0.0, 1.0, _SAMPLES)
     samples = start + fraction[:, None] * (ends[:, None] - start)
-    margin = clearance(world, samples)
-    gap = jnp.linalg.norm(ends - start, axis=-1)[:, None] / (_SAMPLES - 1)
-    return (margin[:, 1:] + margin[:, :-1] > gap).all(axis=1)
+    margin = np.asarray(compiled_clearance(world.obstacles, samples.reshape(-1, 3))).reshape(samples.shape[:-1])
+    gap = np.linalg.norm(ends - start, axis=-1)[:, None] / (_SAMPLES - 1)
+    return np.asarray((margin[:, 1:] + margin[:, :-1] > gap).all(axis=1))

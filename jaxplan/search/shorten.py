@@ -2,24 +2,31 @@
 
 A lattice path is a staircase, and on coarse lattices it dips to cell centres far from the straight line. Waypoints
 taken from it make a trajectory turn where nothing is in the way. Here a point is kept only where the straight line from
-the last kept point would enter an occupied cell of the *finest* lattice. The result is never longer than the path.
+the last kept point would cross an occupied cell of the *finest* lattice. The result is never longer than the path.
 """
 
-import numba
+import functools
+from collections.abc import Callable
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxplan.search.lattice import Lattices, Paths
+from jaxplan.search import graph as g
+from jaxplan.search.astar import Found
+from jaxplan.search.compiled import entry_point, inner, source_digest
+from jaxplan.search.graph import NO_ENTRY, Frame, Graph
+from jaxplan.search.lattice import Lattices, Paths, grid_frame
+from jaxplan.search.sight import sees
 
-_STEP = 0.5
-"""Distance between samples of a line of sight, in cells."""
+_at, _distance = inner(g.at), inner(g.distance)
+_centre_of, _indices = inner(g.centre_of), inner(g.indices)
 
 
 def shorten(paths: Paths, lattices: Lattices) -> Paths:
     """The same paths with as few corners as sight allows; ends stay exact, ``length`` is that of the lattice path."""
     grid = lattices.levels[0].grid
     points, count = paths.points.copy(), paths.count.copy()
-    _shorten_all(points, count, grid.occupied, grid.origin, float(grid.resolution))
+    _compiled_shorten()(points, count, grid.occupied, tuple(grid_frame(grid)))
     return Paths(
         points=points,
         count=count,
@@ -31,71 +38,146 @@ def shorten(paths: Paths, lattices: Lattices) -> Paths:
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _shorten_all(
-    points: Float[np.ndarray, "k n 3"],
+def write_straight(
+    occupied: Bool[np.ndarray, "fx fy fz"],
+    frame: Frame,
+    head: Float[np.ndarray, "h 3"],
+    goals: Float[np.ndarray, "k 3"],
+    wanted: Bool[np.ndarray, "k"],
+    points: Float[np.ndarray, "k capacity 3"],
     count: Int[np.ndarray, "k"],
-    occupied: Bool[np.ndarray, "x y z"],
-    origin: Float[np.ndarray, "3"],
-    resolution: float,
 ) -> None:
-    """Rewrite every path in place and pad it with its last point."""
-    for k in range(points.shape[0]):
-        path, last = points[k], count[k] - 1
-        kept, here = 1, 0
-        while here < last:
-            here = _farthest_seen(path, here, last, occupied, origin, resolution)
-            path[kept] = path[here]
-            kept += 1
-        if last > 0:
-            path[kept:] = path[kept - 1]
-            count[k] = kept
+    """Write ``head`` and goal as the path of every wanted goal that the end of ``head`` sees."""
+    _compiled_straight()(occupied, tuple(frame), head, goals, wanted, points, count)
 
 
-@numba.njit(cache=True, nogil=True)
-def _farthest_seen(
-    path: Float[np.ndarray, "n 3"],
-    here: int,
-    last: int,
-    occupied: Bool[np.ndarray, "x y z"],
-    origin: Float[np.ndarray, "3"],
-    resolution: float,
-) -> int:
+def write_taut(
+    graph: Graph,
+    found: Found,
+    occupied: Bool[np.ndarray, "fx fy fz"],
+    head: Float[np.ndarray, "h 3"],
+    goals: Float[np.ndarray, "k 3"],
+    points: Float[np.ndarray, "k capacity 3"],
+    count: Int[np.ndarray, "k"],
+    length: Float[np.ndarray, "k"],
+) -> None:
+    """Write the path of every reached goal, pulled taut, into its row of ``points``, and its ``length`` [m].
+
+    ``count`` becomes the number of points of the whole path; where that exceeds the capacity the row is its prefix.
+    """
+    frames = tuple(graph.frame), tuple(graph.fine_frame)
+    longest = len(head) + 1 + graph.moves.size
+    _compiled_taut()(*frames, found.parent, found.entry, occupied, head, goals, points, count, length, longest)
+
+
+@functools.cache
+def _compiled_shorten() -> Callable[..., None]:
+    version = source_digest()
+
+    @entry_point
+    def entry(points, count, occupied, frame):  # type: ignore[no-untyped-def]
+        _ = version
+        frame = Frame(*frame)
+        for k in range(points.shape[0]):
+            if count[k] > 1:
+                kept = _pull_taut(points[k], count[k], occupied, frame)
+                for i in range(kept, points.shape[1]):
+                    _copy(points[k], i, points[k], kept - 1)
+                count[k] = kept
+
+    return entry  # type: ignore[no-any-return]
+
+
+@functools.cache
+def _compiled_straight() -> Callable[..., None]:
+    version = source_digest()
+
+    @entry_point
+    def entry(occupied, frame, head, goals, wanted, points, count):  # type: ignore[no-untyped-def]
+        _ = version
+        frame = Frame(*frame)
+        last = len(head)
+        for k in range(len(goals)):
+            if wanted[k] and sees(occupied, frame, _at(head, last - 1), _at(goals, k)):
+                for i in range(points.shape[1]):
+                    _copy(points[k], i, head if i < last else goals, i if i < last else k)
+                count[k] = last + 1
+
+    return entry  # type: ignore[no-any-return]
+
+
+@functools.cache
+def _compiled_taut() -> Callable[..., None]:
+    version = source_digest()
+
+    @entry_point
+    def entry(frame, fine, parents, entries, occupied, head, goals, points, count, length, longest):  # type: ignore[no-untyped-def]
+        _ = version
+        frame, fine = Frame(*frame), Frame(*fine)
+        path = np.empty((longest, 3))
+        for k in range(len(goals)):
+            if entries[k] != NO_ENTRY:
+                last = _unroll(frame, parents, entries[k], head, path)
+                _copy(path, last, goals, k)
+                kept = _pull_taut(path, last + 1, occupied, fine)
+                length[k] = 0.0
+                for i in range(1, kept):
+                    length[k] += _distance(_at(path, i - 1), _at(path, i))
+                for i in range(points.shape[1]):
+                    _copy(points[k], i, path, min(i, kept - 1))
+                count[k] = kept
+
+    return entry  # type: ignore[no-any-return]
+
+
+@inner
+def _copy(to, i, source, j):  # type: ignore[no-untyped-def]
+    """Copy one point; numba takes seconds to compile the assignment of a slice."""
+    to[i, 0], to[i, 1], to[i, 2] = source[j, 0], source[j, 1], source[j, 2]
+
+
+@inner
+def _unroll(frame, parents, entry, head, path):  # type: ignore[no-untyped-def]
+    """Write the head and the centres of the cells up to ``entry``; returns their number."""
+    cells, cell = 0, entry
+    while cell >= 0:
+        cells, cell = cells + 1, parents[cell]
+    for i in range(len(head)):
+        _copy(path, i, head, i)
+    position, cell = len(head) + cells - 1, entry
+    while cell >= 0:
+        x, y, z = _centre_of(frame, *_indices(frame, cell))
+        path[position, 0], path[position, 1], path[position, 2] = x, y, z
+        position, cell = position - 1, parents[cell]
+    return len(head) + cells
+
+
+@inner
+def _pull_taut(path, count, occupied, frame):  # type: ignore[no-untyped-def]
+    """Rewrite the first ``count`` points of one path in place; returns how many are left."""
+    kept, here = 1, 0
+    while here < count - 1:
+        here = _farthest_seen(path, here, count - 1, occupied, frame)
+        _copy(path, kept, path, here)
+        kept += 1
+    return kept
+
+
+@inner
+def _farthest_seen(path, here, last, occupied, frame):  # type: ignore[no-untyped-def]
     """Index of a late point in sight of point ``here``, at least the next one: doubling steps, then bisection."""
     seen, step = here + 1, 2
     hidden = last + 1
     while seen < last:
         trial = min(here + step, last)
-        if not _in_sight(path[here], path[trial], occupied, origin, resolution):
+        if not sees(occupied, frame, _at(path, here), _at(path, trial)):
             hidden = trial
             break
         seen, step = trial, 2 * step
     while hidden - seen > 1 and seen < last:
         middle = (seen + hidden) // 2
-        if _in_sight(path[here], path[middle], occupied, origin, resolution):
+        if sees(occupied, frame, _at(path, here), _at(path, middle)):
             seen = middle
         else:
             hidden = middle
     return seen
-
-
-@numba.njit(cache=True, nogil=True)
-def _in_sight(
-    a: Float[np.ndarray, "3"],
-    b: Float[np.ndarray, "3"],
-    occupied: Bool[np.ndarray, "x y z"],
-    origin: Float[np.ndarray, "3"],
-    resolution: float,
-) -> bool:
-    """Whether every sample of the segment lies in a free cell."""
-    distance = np.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
-    steps = int(np.ceil(distance / (_STEP * resolution))) + 1
-    for i in range(steps + 1):
-        t = i / steps
-        x = int(np.floor((a[0] + t * (b[0] - a[0]) - origin[0]) / resolution))
-        y = int(np.floor((a[1] + t * (b[1] - a[1]) - origin[1]) / resolution))
-        z = int(np.floor((a[2] + t * (b[2] - a[2]) - origin[2]) / resolution))
-        inside = 0 <= x < occupied.shape[0] and 0 <= y < occupied.shape[1] and 0 <= z < occupied.shape[2]
-        if not inside or occupied[x, y, z]:
-            return False
-    return True

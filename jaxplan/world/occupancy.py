@@ -30,8 +30,8 @@ RESOLUTIONS = (0.1, 0.2, 0.5, 1.0)
 MAX_CELLS = 2**26
 """Cells of the finest lattice; 64 MB of occupancy."""
 
-_CHUNK = 2**16
-"""Points per compiled call."""
+CHUNK = 2**13
+"""Points per compiled call of the clearance."""
 _ROUNDING = 1e-9
 """m; a centre at exactly ``keep_in`` from a face counts as inside, whatever the rounding."""
 
@@ -104,15 +104,16 @@ def _near_obstacle(
     """Which cells' centres are closer than ``padding`` to an obstacle; a chunk of cells at a time."""
     count = int(np.prod(shape))
     padded = np.empty(count, dtype=bool)
-    for first in range(0, count, _CHUNK):
-        index = np.minimum(np.arange(first, first + _CHUNK), count - 1)
+    for first in range(0, count, CHUNK):
+        index = np.minimum(np.arange(first, first + CHUNK), count - 1)
         centres = origin + (np.stack(np.unravel_index(index, shape), axis=-1) + 0.5) * resolution
-        far = np.asarray(_compiled_clearance(obstacles, centres)) >= padding
-        padded[first : first + _CHUNK] = ~far[: count - first]
+        far = np.asarray(compiled_clearance(obstacles, centres)) >= padding
+        padded[first : first + CHUNK] = ~far[: count - first]
     return padded.reshape(shape)
 
 
-_compiled_clearance = jax.jit(clearance)
+compiled_clearance = jax.jit(clearance)
+"""Shared, so that the search compiles no second program for ``CHUNK`` points."""
 
 
 def _coarsen(padded: Bool[np.ndarray, "nx ny nz"], factor: int) -> Bool[np.ndarray, "mx my mz"]:

@@ -31,7 +31,7 @@ from jaxplan.world.obstacles import (
 
 __all__ = ["ENVIRONMENTS", "World", "environment_path", "load_world"]
 
-ENVIRONMENTS = ("env1",)
+ENVIRONMENTS = ("env1", "env2", "env3")
 """Names of the stored worlds."""
 
 _MAX_BYTES = {".xml": 4 * 2**20, ".json": 16 * 2**20, ".stl": 128 * 2**20}

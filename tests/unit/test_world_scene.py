@@ -35,7 +35,7 @@ def assert_refused(path: Path, *words: str) -> None:
 
 def test_env1() -> None:
     world = load_world("env1")
-    assert ENVIRONMENTS == ("env1",)
+    assert ENVIRONMENTS == ("env1", "env2", "env3")
     np.testing.assert_allclose(world.bounds, [[-5, -5, 0], [5, 5, 2]])
     assert len(world.boxes.center) + len(world.cylinders.center) == 8
     assert len(world.planes.offset) == 0
