@@ -14,10 +14,10 @@ from jaxplan.config import InterceptConfig
 from jaxplan.errors import InputError
 from jaxplan.io.targets import Target, load_target
 from jaxplan.numerics import in_float64
-from jaxplan.planner import PlannerConfig, build_planner
+from jaxplan.planner import APPROACH_LANES, PlannerConfig, build_planner
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.observations import first_observation
-from jaxplan.prediction.predictors import PredictionConfig, build_predictor
+from jaxplan.prediction.predictors import PredictionConfig, build_predictor, candidate_count
 from jaxplan.replanner import CommittedPlan, Cycle, Replanner, ReplannerConfig
 from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.search.places import reachable_place
@@ -119,13 +119,16 @@ def prepare(config: InterceptConfig) -> Scenario:
     vehicle = load_vehicle()
     target = load_target(config.target, world=world.name, speed=config.speed)
     distance = _distance_function(world)
-    planner_config = PlannerConfig()
+    prediction = PredictionConfig(dt=0.1 if world.diagonal < LARGE_ROOM else 0.2)
+    count = candidate_count(config.predictor, prediction)
+    planner_config = PlannerConfig(
+        buckets=tuple(sorted({APPROACH_LANES, *(n for n in (count // 4, count) if n > APPROACH_LANES)}))
+    )
     _check_target(target, world, distance)
     position = _start(config, world, target, planner_config.padding)
     _check_start(position, world, vehicle, distance)
     start = hover(position)
     planner = build_planner(planner_config, world=world, vehicle=vehicle, policy=constant_speed_policy())
-    prediction = PredictionConfig(dt=0.1 if world.diagonal < LARGE_ROOM else 0.2)
     predictor = build_predictor(config.predictor, prediction, target.position, config.seed)
     return Scenario(
         world=world,

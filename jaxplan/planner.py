@@ -24,21 +24,23 @@ from jaxplan.numerics import in_float64
 from jaxplan.policy.protocol import Policy
 from jaxplan.prediction.candidates import Candidates, candidates_from, reject_early
 from jaxplan.records import record
-from jaxplan.search.knots import KnotConfig, resample, select_knots
+from jaxplan.search.knots import KnotConfig, select_route
 from jaxplan.search.lattice import Paths, SearchConfig, build_lattices, find_paths
+from jaxplan.search.lattice import warmup as warm_up_search
 from jaxplan.search.shorten import shorten
 from jaxplan.selection import CheckConfig, Margins, check
 from jaxplan.selection import select as select_best
 from jaxplan.spline import FlatState, PiecewisePolynomial
-from jaxplan.status import Reason
+from jaxplan.status import Reason, bit
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.obstacles import World
 
-PATH_SAMPLES = 64
-"""Points at which a searched path is compared with its trajectory."""
-APPROACH_GOALS = 8
-APPROACH_STRETCHES = (1.0, 1.3, 1.7, 2.2)
-"""An approach tries this many goals, each at these multiples of its least time (arbitrary)."""
+APPROACH_GOALS = 4
+APPROACH_SHARES = (1.0, 0.6, 0.3)
+APPROACH_STRETCHES = (1.0, 1.4, 2.0)
+"""An approach tries this many goals, each along these shares of its path, at these multiples of its least time
+(arbitrary)."""
+APPROACH_LANES = APPROACH_GOALS * len(APPROACH_SHARES) * len(APPROACH_STRETCHES)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,7 +57,7 @@ class PlannerConfig:
     """Seconds that a likelihood of 1 is worth in the selection (paper eq. 9 leaves the unit open)."""
     path_capacity: int = 160
     """Points of the longest searched path; longer ones are planned as prefixes."""
-    buckets: tuple[int, ...] = (32, 128, 400)
+    buckets: tuple[int, ...] = (36, 100, 400)
     """Candidate counts that are compiled; a batch is padded to the next one, larger batches are refused."""
     knots: KnotConfig = KnotConfig()
     arrival: ArrivalConfig = ArrivalConfig()
@@ -67,8 +69,10 @@ class PlannerConfig:
                 raise InputError(f"planner: {name} is {getattr(self, name)}, want a positive number")
         if not 0.0 <= self.padding < float("inf"):
             raise InputError(f"planner: padding is {self.padding} m, want 0 or more")
-        if not self.buckets or list(self.buckets) != sorted(set(self.buckets)) or self.buckets[0] < 1:
-            raise InputError(f"planner: buckets are {self.buckets}, want increasing positive counts")
+        if list(self.buckets) != sorted(set(self.buckets)) or min(self.buckets, default=0) < APPROACH_LANES:
+            raise InputError(
+                f"planner: buckets are {self.buckets}, want increasing counts of at least {APPROACH_LANES}"
+            )
 
 
 @record
@@ -131,6 +135,7 @@ class Routes(NamedTuple):
     waypoints: Float[Array, "14 3 k"]
     count: Int[Array, "k"]
     samples: Float[Array, "p 3 k"]
+    reasons: UInt32[Array, "k"]
 
 
 class _Stations(NamedTuple):
@@ -166,13 +171,13 @@ def build_planner(
         timer.lap("reject")
         paths = search(state, goals[chosen], candidates.target)
         timer.lap("search")
-        routes = stations.route(_pad(paths.points, bucket, fill=state.pos))
+        routes = stations.route(_pad(paths.points, bucket, fill=state.pos), np.ones(bucket))
         timer.lap("knots", routes)
         arrival = stations.allocate(routes, state, _pad(times[chosen], bucket, fill=1.0))
         timer.lap("policy", arrival)
         splines, margins = stations.trace(state, routes, arrival.durations)
         timer.lap("minsnap", margins)
-        reasons[chosen] |= paths.reasons | np.asarray(arrival.reasons | margins.reasons)[: len(chosen)]
+        reasons[chosen] |= paths.reasons | np.asarray(routes.reasons | arrival.reasons | margins.reasons)[: len(chosen)]
         return Plans(
             goals=goals,
             arrival_times=times,
@@ -190,20 +195,19 @@ def build_planner(
         reasons, goals, times = _rejected(stations, state, candidates, config.buckets)
         chosen = _latest_goals(reasons, goals, times)
         paths = search(state, goals[chosen], candidates.target)
-        lanes = np.repeat(np.arange(len(chosen)), len(APPROACH_STRETCHES))
-        stretches = np.tile(APPROACH_STRETCHES, len(chosen))
-        bucket = APPROACH_GOALS * len(APPROACH_STRETCHES)
-        routes = stations.route(_pad(paths.points[lanes], bucket, fill=state.pos))
-        durations = stations.stretch(routes, state, _pad(stretches, bucket, fill=1.0))
+        lanes, shares, stretches = (axis.ravel() for axis in np.meshgrid(*_approach_axes(len(chosen)), indexing="ij"))
+        bucket = _bucket(len(lanes), config.buckets)
+        routes = stations.route(_pad(paths.points[lanes], bucket, state.pos), _pad(shares, bucket, 1.0))
+        durations = stations.stretch(routes, state, _pad(stretches, bucket, 1.0))
         splines, margins = stations.trace(state, routes, durations)
-        late = np.asarray(durations).sum(axis=0)[: len(lanes)] - times[chosen][lanes]
-        failed = (paths.reasons & ~np.uint32(Reason.PREFIX_ONLY))[lanes] | np.asarray(margins.reasons)[: len(lanes)]
+        whole_time = np.asarray(durations).sum(axis=0)[: len(lanes)] / shares
+        failed = np.asarray(margins.reasons)[: len(lanes)] | (paths.reasons & ~np.uint32(Reason.PREFIX_ONLY))[lanes]
         timer.lap("approach")
         return Plans(
             goals=goals[chosen][lanes],
             arrival_times=times[chosen][lanes],
             reasons=failed,
-            score=-late,
+            score=times[chosen][lanes] - whole_time,
             alpha=stretches,
             lanes=np.arange(len(lanes)),
             splines=splines,
@@ -212,8 +216,9 @@ def build_planner(
 
     @in_float64
     def warmup(state: FlatState) -> None:
+        warm_up_search(lattices, world, config.path_capacity)
         for bucket in config.buckets:
-            routes = stations.route(np.tile(np.asarray(state.pos), (bucket, config.path_capacity, 1)))
+            routes = stations.route(np.tile(np.asarray(state.pos), (bucket, config.path_capacity, 1)), np.ones(bucket))
             arrival = stations.allocate(routes, state, np.ones(bucket))
             jax.block_until_ready(stations.trace(state, routes, arrival.durations))
         for count in config.buckets:
@@ -235,10 +240,14 @@ def _compile_stations(config: PlannerConfig, world: World, vehicle: Vehicle, pol
         return reject_early(candidates, world, start, config.padding, config.max_speed)
 
     @jax.jit
-    def route(paths: Float[Array, "k l 3"]) -> Routes:
-        samples = jax.vmap(lambda path: resample(path, PATH_SAMPLES))(paths)
-        knots = jax.vmap(lambda path: select_knots(path, config.knots))(samples)
-        return Routes(jnp.moveaxis(knots.waypoints, 0, -1), knots.count, jnp.moveaxis(samples, 0, -1))
+    def route(paths: Float[Array, "k l 3"], shares: Float[Array, "k"]) -> Routes:
+        routes = jax.vmap(lambda path, share: select_route(path, config.knots, share))(paths, shares)
+        return Routes(
+            waypoints=jnp.moveaxis(routes.knots.waypoints, 0, -1),
+            count=routes.knots.count,
+            samples=jnp.moveaxis(routes.samples, 0, -1),
+            reasons=bit(~routes.whole, Reason.PREFIX_ONLY),
+        )
 
     @jax.jit
     def allocate(routes: Routes, state: FlatState, arrival_times: Float[Array, "k"]) -> Arrival:
@@ -287,6 +296,11 @@ def _latest_goals(
     latest = possible[np.argsort(-times[possible], kind="stable")]
     _, first = np.unique(goals[latest], axis=0, return_index=True)
     return latest[np.sort(first)][:APPROACH_GOALS]
+
+
+def _approach_axes(goals: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What an approach combines: goal, share of its path, multiple of its least time."""
+    return np.arange(goals), np.array(APPROACH_SHARES), np.array(APPROACH_STRETCHES)
 
 
 def _around(state: FlatState, count: int) -> Candidates:

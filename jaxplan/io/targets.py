@@ -86,7 +86,7 @@ def load_target(name_or_path: str | None, *, world: str, speed: float | None = N
 
 
 def target_spline(waypoints: Float[np.ndarray, "m+1 3"], durations: Float[np.ndarray, "m"]) -> PiecewisePolynomial:
-    """Minimum snap through ``waypoints`` [m], already flying towards the second one at the start, at rest at the end."""
+    """Minimum snap through ``waypoints`` [m]: flying towards the second one at the start, at rest at the end."""
     initial = np.zeros((4, 3))
     initial[0] = (waypoints[1] - waypoints[0]) / durations[0]
     return minimum_snap(waypoints, durations, initial=initial)

@@ -19,6 +19,8 @@ Trajectory = Callable[[Float[np.ndarray, "n"]], Float[np.ndarray, "n 3"]]
 """Target positions [m, world] at given times [s]."""
 
 PREDICTORS = ("none", "ground-truth", "noisy", "constant-velocity")
+SAMPLING = ("noisy",)
+"""Predictors that propose a batch of goals for every step; the others propose one."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,6 +50,11 @@ class PredictionConfig:
     def offsets(self) -> Float[np.ndarray, "steps"]:
         """Times of the predicted positions [s] from now."""
         return self.dt * np.arange(1, self.steps + 1)
+
+
+def candidate_count(name: str, config: PredictionConfig) -> int:
+    """How many candidates the predictor called ``name`` proposes in a cycle."""
+    return config.steps * (config.batch if name in SAMPLING else 1)
 
 
 class Predictor(Protocol):

@@ -2,15 +2,15 @@
 
 Along a path q_0 .. q_M the parameter k = (k_d + k_c) / 2 adds up arc length k_d [m] and turning k_c [rad]; the
 waypoints lie uniformly in k, so corners get more of them. Their number is ceil(max(k_d / k_d,min, k_c / k_c,min)),
-at least 2 and at most ``MAX_WAYPOINTS``, start and goal included.
+at least 2 and at most ``MAX_WAYPOINTS``, start and goal included. A path that wants more is cut to the part that
+``MAX_WAYPOINTS`` can carry.
 """
 
 import dataclasses
-import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxplan.errors import InputError
 from jaxplan.numerics import safe_divide, safe_norm
@@ -24,14 +24,18 @@ class KnotConfig:
     """How densely waypoints are set."""
 
     distance_per_knot: float = 2.0
-    """k_d,min [m]; the paper gives no value."""
-    turning_per_knot: float = math.pi / 3.0
+    """k_d,min [m]; the paper gives no value (docs/decisions/0005-knots.md)."""
+    turning_per_knot: float = 1.0
     """k_c,min [rad]; the paper gives no value."""
+    samples: int = 64
+    """Points at uniform arc length that stand for a path, here and in the deviation test."""
 
     def __post_init__(self) -> None:
         for name in ("distance_per_knot", "turning_per_knot"):
             if not getattr(self, name) > 0.0:
                 raise InputError(f"knots: {name} is {getattr(self, name)}, want a positive number")
+        if not 8 <= self.samples <= 4096:
+            raise InputError(f"knots: samples is {self.samples}, want 8 to 4096")
 
 
 class Knots(NamedTuple):
@@ -42,24 +46,44 @@ class Knots(NamedTuple):
     """Waypoints in use, 2 to 14."""
 
 
+class Route(NamedTuple):
+    """A path, or as much of it as the waypoints can carry."""
+
+    knots: Knots
+    samples: Float[Array, "s 3"]
+    """The same part of the path at uniform arc length."""
+    whole: Bool[Array, ""]
+    """False where only a beginning of the path is left."""
+
+
+def select_route(path: Float[Array, "l 3"], config: KnotConfig, share: Float[Array, ""] | float = 1.0) -> Route:
+    """Waypoints and samples of the first ``share`` of one searched path [m] whose unused points repeat its last one."""
+    wanted = wanted_knots(resample(path, config.samples), config)
+    share = jnp.minimum(MAX_WAYPOINTS / wanted, share)
+    samples = resample(path, config.samples, share)
+    return Route(select_knots(samples, config), samples, share >= 1.0)
+
+
 def select_knots(path: Float[Array, "l 3"], config: KnotConfig) -> Knots:
-    """Waypoints along one ``path`` [m] whose unused points repeat its last one."""
-    edges = jnp.diff(path, axis=0)
-    lengths = safe_norm(edges)
-    turning = _turning(edges, lengths)
-    distance = _cumulate(lengths)
-    curvature = _cumulate(jnp.concatenate([jnp.zeros_like(turning[:1]), turning]))
-    wanted = jnp.maximum(distance[-1] / config.distance_per_knot, curvature[-1] / config.turning_per_knot)
-    count = jnp.clip(jnp.ceil(wanted), 2, MAX_WAYPOINTS).astype(jnp.int32)
+    """At most ``MAX_WAYPOINTS`` waypoints along one whole path [m] whose unused points repeat its last one."""
+    distance, curvature = _parameters(path)
+    count = jnp.clip(jnp.ceil(wanted_knots(path, config)), 2, MAX_WAYPOINTS).astype(jnp.int32)
     parameter = 0.5 * (distance + curvature)
     share = jnp.minimum(jnp.arange(MAX_WAYPOINTS) / (count - 1), 1.0)
     return Knots(interpolate_along(path, parameter, share * parameter[-1]), count)
 
 
-def resample(path: Float[Array, "l 3"], samples: int) -> Float[Array, "s 3"]:
-    """``samples`` points at uniform arc length along one path."""
+def wanted_knots(path: Float[Array, "l 3"], config: KnotConfig) -> Float[Array, ""]:
+    """max(k_d / k_d,min, k_c / k_c,min) of a whole path, before rounding and limits; at least 2."""
+    distance, curvature = _parameters(path)
+    wanted = jnp.maximum(distance[-1] / config.distance_per_knot, curvature[-1] / config.turning_per_knot)
+    return jnp.maximum(wanted, 2.0)
+
+
+def resample(path: Float[Array, "l 3"], samples: int, share: Float[Array, ""] | float = 1.0) -> Float[Array, "s 3"]:
+    """``samples`` points at uniform arc length along the first ``share`` of one path's length."""
     distance = _cumulate(safe_norm(jnp.diff(path, axis=0)))
-    return interpolate_along(path, distance, jnp.linspace(0.0, 1.0, samples) * distance[-1])
+    return interpolate_along(path, distance, jnp.linspace(0.0, 1.0, samples) * share * distance[-1])
 
 
 def interpolate_along(
@@ -70,6 +94,14 @@ def interpolate_along(
     low, high = parameter[right - 1], parameter[right]
     weight = jnp.clip(safe_divide(at - low, high - low), 0.0, 1.0)[:, None]
     return path[right - 1] * (1.0 - weight) + path[right] * weight
+
+
+def _parameters(path: Float[Array, "l 3"]) -> tuple[Float[Array, "l"], Float[Array, "l"]]:
+    """k_d [m] and k_c [rad] at every point of a path."""
+    edges = jnp.diff(path, axis=0)
+    lengths = safe_norm(edges)
+    turning = _turning(edges, lengths)
+    return _cumulate(lengths), _cumulate(jnp.concatenate([jnp.zeros_like(turning[:1]), turning]))
 
 
 def _turning(edges: Float[Array, "e 3"], lengths: Float[Array, "e"]) -> Float[Array, "e-1"]:

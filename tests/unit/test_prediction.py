@@ -94,13 +94,28 @@ def test_early_rejection_names_every_reason():
     world = load_world("env1")
     start = np.array([-4.3, -4.3, 1.0])
     goals = np.array(
-        [[-4.0, -3.5, 1.0], [np.nan, 0, 0], [9.0, 0, 1], [-3.0, -2.95, 1.0], [-4.0, -3.5, 1], [4.5, 4.5, 1], [50, np.inf, 1]]
+        [
+            [-4.0, -3.5, 1.0],
+            [np.nan, 0, 0],
+            [9.0, 0, 1],
+            [-3.0, -2.95, 1.0],
+            [-4.0, -3.5, 1],
+            [4.5, 4.5, 1],
+            [50, np.inf, 1],
+        ]
     )
     times = np.array([1.0, 1.0, 5.0, 5.0, -1.0, 0.5, 1.0])
     candidates = candidates_from(start, goals, times, np.zeros(7))
     with jax.enable_x64(True):
         reasons = np.asarray(jax.jit(reject_early, static_argnums=(3, 4))(candidates, world, start, 0.5, 8.0).reasons)
-    wanted = [0, Reason.NONFINITE, Reason.GOAL_OUTSIDE, Reason.GOAL_OCCUPIED, Reason.T_GOAL_INVALID, Reason.OUT_OF_REACH]
+    wanted = [
+        0,
+        Reason.NONFINITE,
+        Reason.GOAL_OUTSIDE,
+        Reason.GOAL_OCCUPIED,
+        Reason.T_GOAL_INVALID,
+        Reason.OUT_OF_REACH,
+    ]
     assert reasons[0] == 0
     for have, want in zip(reasons[1:6], wanted[1:], strict=True):
         assert have & int(want)

@@ -33,7 +33,9 @@ def batch(room):
     waypoints[0] = np.array([-3.0, -3.0, 0.0])[:, None]
     durations = np.linalg.norm(np.diff(waypoints, axis=0), axis=1) / rng.uniform(1.0, 4.0, LANES)
     durations[3, ::3] = 0.0
-    paths = np.stack([np.linspace(0, 1, 64)[:, None] * (waypoints[4, :, k] - waypoints[0, :, k]) for k in range(LANES)], -1)
+    paths = np.stack(
+        [np.linspace(0, 1, 64)[:, None] * (waypoints[4, :, k] - waypoints[0, :, k]) for k in range(LANES)], -1
+    )
     paths = paths + waypoints[0]
     with jax.enable_x64(True):
         state = hover(waypoints[0, :, 0])

@@ -1,0 +1,175 @@
+"""Closed-loop episodes in environment 1: what every run must have, and how each kind of episode ends."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+from jaxplan import interception
+from jaxplan.config import InterceptConfig
+from jaxplan.errors import InputError
+from jaxplan.io.targets import Target, load_target, stored_targets
+from jaxplan.metrics import episode_metrics
+from jaxplan.prediction.predictors import PREDICTORS, PredictionConfig, build_predictor
+from jaxplan.replanner import Replanner
+from jaxplan.spline import hover
+from jaxplan.tracking.rollout import CONTROL_RATE
+
+SILENT = lambda text, share: None  # noqa: E731
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    prepared = interception.prepare(InterceptConfig(predictor="noisy"))
+    interception.warm_up(prepared)
+    return prepared
+
+
+@pytest.fixture(scope="module")
+def episode(scenario):
+    return interception.fly(again(scenario), SILENT)
+
+
+def again(scenario, *, target=None, predictor="ground-truth", start=None, departure=0.5, seed=0):
+    """The same compiled functions in another scenario."""
+    target, start = target or scenario.target, start or scenario.start
+    model = build_predictor(predictor, PredictionConfig(), target.position, seed)
+    replanner = Replanner(scenario.replanner.planner, model, start)
+    return dataclasses.replace(
+        scenario, target=target, replanner=replanner, start=start, departure=departure, seed=seed
+    )
+
+
+def still(position, duration=3.0):
+    """A target that hovers."""
+    return Target(
+        "still", duration, 0.0, (), lambda t, d: np.broadcast_to(0.0 if d else position, (*np.shape(t), 3)), 1.0
+    )
+
+
+def test_default_episode_intercepts(episode):
+    assert episode.outcome == "intercepted"
+    metrics = episode_metrics(episode)
+    assert metrics["success"]
+    assert metrics["min_distance_m"] < 0.4
+    assert metrics["max_position_error_m"] < 0.4
+    assert metrics["max_yaw_error_deg"] < 45.0
+    assert metrics["min_clearance_m"] > float(episode.scenario.vehicle.radius)
+    assert metrics["compilations_after_warmup"] == 0
+    assert metrics["replans"] == len(episode.cycles)
+    assert metrics["candidates"]["generated"] == 20 * len(episode.cycles)
+    assert set(metrics["replan_ms"]) >= {"total", "predict", "search", "knots", "policy", "minsnap", "select"}
+
+
+def test_commanded_trajectory_never_jumps(episode):
+    jumps = episode_metrics(episode)["switch_jump"]
+    assert all(value <= 1e-6 for value in jumps.values()), jumps
+
+
+def test_flight_log_is_consistent(episode):
+    flight = episode.flight
+    np.testing.assert_allclose(np.diff(flight.times), 1.0 / CONTROL_RATE, atol=1e-9)
+    moved = np.linalg.norm(np.diff(flight.position, axis=0), axis=1)
+    speed = np.linalg.norm(flight.velocity, axis=1)
+    np.testing.assert_allclose(moved * CONTROL_RATE, 0.5 * (speed[1:] + speed[:-1]), atol=0.1)
+    np.testing.assert_allclose(
+        np.linalg.norm(flight.position - flight.reference, axis=1), flight.position_error, atol=1e-4
+    )
+    np.testing.assert_allclose(episode.scenario.target.position(flight.times), flight.target)
+    before = flight.times < episode.scenario.departure
+    assert np.linalg.norm(flight.position[before] - episode.scenario.start.pos, axis=1).max() < 0.02
+
+
+def test_same_seed_same_flight(scenario, episode):
+    repeated = interception.fly(again(scenario), SILENT)
+    np.testing.assert_array_equal(repeated.flight.position, episode.flight.position)
+
+
+@pytest.mark.parametrize("predictor", PREDICTORS)
+def test_every_predictor_flies_without_compiling(scenario, predictor):
+    target = load_target("env1-02", world="env1", speed=1.0)
+    result = interception.fly(again(scenario, target=target, predictor=predictor), SILENT)
+    assert result.compilations_after_warmup == 0
+    assert result.outcome in ("intercepted", "target_ended", "no_plan")
+    assert result.cycles[0].generated == (400 if predictor == "noisy" else 20)
+    if predictor != "none":
+        assert result.success
+
+
+def test_target_behind_everything_ends_without_success(scenario):
+    far = still(np.array([4.3, 4.3, 1.0]), duration=1.2)
+    result = interception.fly(again(scenario, target=far), SILENT)
+    assert result.outcome == "target_ended"
+    assert not result.success
+    assert episode_metrics(result)["time_to_intercept_s"] is None
+
+
+def test_late_departure_means_no_plan(scenario):
+    result = interception.fly(again(scenario, target=still(np.array([4.0, 4.0, 1.0]), 1.0), departure=5.0), SILENT)
+    assert result.outcome == "no_plan"
+    assert len(result.cycles) == 0
+    assert result.flight.times[-1] == pytest.approx(1.0)
+    assert episode_metrics(result)["replan_ms"] == {}
+
+
+def test_lost_tracking_and_collision_are_told_apart(scenario):
+    flight = interception.fly(again(scenario, target=still(np.array([4.0, 4.0, 1.0]), 1.0)), SILENT).flight
+    rows = len(flight.times)
+    lost = flight._replace(position_error=np.where(np.arange(rows) < 50, 0.0, np.nan))
+    judged, outcome = interception._judge(lost, scenario)
+    assert (outcome, len(judged.times)) == ("tracking_lost", 51)
+    hit = flight._replace(clearance=np.where(np.arange(rows) < 30, 1.0, 0.1))
+    judged, outcome = interception._judge(hit, scenario)
+    assert (outcome, len(judged.times)) == ("collision", 31)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"start": (9.0, 0.0, 1.0)}, "start"),
+        ({"start": (1.0, -0.05, 1.0)}, "start"),
+        ({"target": "env9-01"}, "env1-01"),
+        ({"world": "moon"}, "env1"),
+    ],
+)
+def test_scenarios_that_do_not_fit_are_refused(options, said):
+    with pytest.raises(InputError, match=said):
+        interception.prepare(InterceptConfig(**options))
+
+
+def test_target_outside_the_room_is_refused(tmp_path):
+    path = tmp_path / "away.csv"
+    path.write_text("t,x,y,z\n0,0,1,1\n1,2,1,1\n2,30,1,1\n")
+    with pytest.raises(InputError, match="outside world"):
+        interception.prepare(InterceptConfig(target=str(path)))
+
+
+def test_stored_targets_are_free_and_have_the_wanted_speed(scenario):
+    names = stored_targets("env1")
+    assert len(names) == 10
+    for name in names:
+        target = load_target(name, world="env1", speed=2.0)
+        times = np.linspace(0.0, target.duration, 700)
+        assert scenario.clearance(target.position(times)).min() >= 0.499
+        speeds = np.linalg.norm(target.velocity(times), axis=1)
+        assert speeds.max() == pytest.approx(2.0, rel=1e-2)
+        moved = np.linalg.norm(np.diff(target.position(times), axis=0), axis=1).sum()
+        assert moved == pytest.approx(speeds.mean() * target.duration, rel=1e-2)
+
+
+@pytest.mark.slow
+def test_recorded_flight_in_a_mesh_is_intercepted(examples):
+    config = InterceptConfig(
+        world=str(examples / "maps" / "kr_skir.stl"),
+        target=str(examples / "scenarios" / "oda_010__in__kr_skir_0.csv"),
+    )
+    result = interception.run(config)
+    assert result.outcome == "intercepted"
+    assert result.compilations_after_warmup == 0
+
+
+def test_hover_state_survives_float32_scope():
+    """The library computes in float64 whatever the process's own setting is."""
+    assert not jax.config.jax_enable_x64
+    assert hover(np.array([1.0, 2.0, 3.0])).derivatives.dtype == np.float64

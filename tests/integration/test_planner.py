@@ -1,0 +1,179 @@
+"""Planner and replanner as a whole, in environment 1: invariants that no station can promise alone."""
+
+import jax
+import numpy as np
+import pytest
+
+from jaxplan.errors import InputError
+from jaxplan.planner import PlannerConfig, build_planner, select
+from jaxplan.policy.constant_speed import constant_speed_policy
+from jaxplan.prediction.candidates import candidates_from
+from jaxplan.prediction.observations import first_observation
+from jaxplan.records import replace
+from jaxplan.replanner import Replanner
+from jaxplan.search.knots import KnotConfig
+from jaxplan.spline import FlatState, hover
+from jaxplan.status import PlanStatus, Reason
+from jaxplan.vehicle.params import load_vehicle
+from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.world.obstacles import make_obstacles
+from jaxplan.world.scene import load_world
+
+START = np.array([-4.3, -4.3, 1.0])
+CONFIG = PlannerConfig(buckets=(36,), knots=KnotConfig(distance_per_knot=1.0))
+
+
+@pytest.fixture(scope="module")
+def world():
+    return load_world("env1")
+
+
+@pytest.fixture(scope="module")
+def planner(world):
+    return build_planner(CONFIG, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
+
+
+@pytest.fixture(scope="module")
+def moving():
+    """A state in full flight."""
+    derivatives = np.zeros((5, 3))
+    derivatives[0], derivatives[1], derivatives[2] = [-4.0, -2.5, 1.0], [0.3, 1.5, 0.1], [0.5, 0.4, -0.2]
+    derivatives[3], derivatives[4] = [1.0, -1.0, 0.3], [4.0, 3.0, -2.0]
+    return FlatState(derivatives=derivatives, yaw=np.array([1.2, 0.3, -0.1]))
+
+
+def candidates(count=20, seed=0):
+    """Goals all over the room, some outside it, in obstacles, invalid or too soon."""
+    rng = np.random.default_rng(seed)
+    goals = rng.uniform([-5.2, -5.2, 0.1], [5.2, 5.2, 1.9], (count, 3))
+    times = rng.uniform(0.5, 12.0, count)
+    return candidates_from(goals[0], goals, times, -0.1 * rng.random(count))
+
+
+def test_usable_plans_keep_every_promise(planner, world, moving):
+    """Start state met to snap, goal reached on time at rest, clear of everything on dense samples."""
+    plans = planner.plan_batch(moving, candidates(36))
+    usable = np.flatnonzero(plans.reasons == 0)
+    assert len(usable) >= 3
+    for index in usable:
+        spline = plans.spline(index)
+        assert float(spline.duration) == pytest.approx(plans.arrival_times[index], rel=1e-9)
+        assert plans.alpha[index] >= 1.0 - 2e-3
+        start, end = spline.state(0.0), spline.state(float(spline.duration))
+        np.testing.assert_allclose(start.derivatives[:4], moving.derivatives[:4], atol=1e-6)
+        np.testing.assert_allclose(start.snap, moving.snap, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(start.yaw, moving.yaw, atol=1e-9)
+        np.testing.assert_allclose(end.pos, plans.goals[index], atol=1e-6)
+        np.testing.assert_allclose(end.derivatives[1:], 0.0, atol=1e-4)
+        points = spline.evaluate(np.linspace(0, float(spline.duration), 2000))[:, :3]
+        with jax.enable_x64(True):
+            free = np.minimum(clearance(world, points), wall_clearance(world, points))
+        assert free.min() >= load_vehicle().radius + CONFIG.checks.tracking_margin
+
+
+def test_order_of_candidates_does_not_matter(planner, moving):
+    given = candidates(20)
+    order = np.random.default_rng(5).permutation(20)
+    shuffled = replace(
+        given,
+        goals=given.goals[order],
+        arrival_times=given.arrival_times[order],
+        likelihood=given.likelihood[order],
+    )
+    plans, other = planner.plan_batch(moving, given), planner.plan_batch(moving, shuffled)
+    np.testing.assert_array_equal(plans.reasons[order], other.reasons)
+    assert select(plans) >= 0
+    assert select(plans) == order[select(other)]
+
+
+def test_bad_candidates_do_not_touch_their_neighbours(planner, moving):
+    good = candidates(10, seed=2)
+    bad = np.array([[np.nan, 0, 1], [np.inf, 0, 1], [99.0, 0, 1], [1.0, -0.05, 1.0], [0, 0, 2**31]])
+    mixed = candidates_from(
+        good.goals[0],
+        np.concatenate([bad, good.goals]),
+        np.concatenate([[1.0, 1.0, 1.0, 1.0, np.nan], good.arrival_times]),
+        np.concatenate([np.zeros(5), np.log(good.likelihood)]),
+    )
+    alone, together = planner.plan_batch(moving, good), planner.plan_batch(moving, mixed)
+    np.testing.assert_array_equal(alone.reasons, together.reasons[5:])
+    assert (together.reasons[:5] != 0).all()
+    assert select(together) == (select(alone) + 5 if select(alone) >= 0 else -1)
+
+
+def test_no_candidate_means_no_plan(planner, moving):
+    nothing = candidates_from(START, np.full((4, 3), np.nan), np.ones(4), np.zeros(4))
+    plans = planner.plan_batch(moving, nothing)
+    assert select(plans) == -1
+    assert (plans.reasons & int(Reason.NONFINITE) > 0).all()
+    assert select(planner.approach(moving, nothing)) == -1
+
+
+def test_removing_the_obstacles_never_turns_an_accept_into_a_clearance_reject(planner, world, moving):
+    """Adding obstacles may only reject; here seen from the other side."""
+    empty = replace(world, obstacles=make_obstacles())
+    free = build_planner(CONFIG, world=empty, vehicle=load_vehicle(), policy=constant_speed_policy())
+    plans = free.plan_batch(moving, candidates(36))
+    assert not (plans.reasons & int(Reason.GOAL_OCCUPIED)).any()
+    crowded = planner.plan_batch(moving, candidates(36))
+    assert (plans.reasons == 0).sum() >= (crowded.reasons == 0).sum()
+
+
+def test_too_many_candidates_are_refused(planner, moving):
+    with pytest.raises(InputError, match="37 candidates"):
+        planner.plan_batch(moving, candidates(37))
+
+
+class Script:
+    """A predictor that plays one answer after another."""
+
+    def __init__(self, *answers):
+        self.answers = list(answers)
+
+    def __call__(self, observations, cycle):
+        return self.answers[min(cycle, len(self.answers) - 1)]
+
+
+def near(goal, time, likelihood=0.0):
+    return candidates_from(goal, np.array([goal]), np.array([time]), np.array([likelihood]))
+
+
+def run(planner, predictor, cycles):
+    replanner = Replanner(planner, predictor, hover(START))
+    seen = first_observation(0.0, START)
+    return replanner, [replanner.step(0.1 * k, seen) for k in range(cycles)]
+
+
+def test_commands_never_jump_and_end_at_rest(planner):
+    goal = np.array([-4.0, -1.0, 1.0])
+    answers = [near(goal + np.array([0.0, 0.1 * k, 0.0]), 3.0) for k in range(8)]
+    replanner, cycles = run(planner, Script(*answers), 8)
+    jumps = np.array([cycle.jump for cycle in cycles if cycle.jump is not None])
+    assert len(jumps) >= 2
+    assert jumps[:, :4].max() <= 1e-6
+    assert jumps[:, 4].max() <= 1e-6
+    late = replanner.reference(np.array([100.0]))
+    np.testing.assert_allclose(late.derivatives[0, 1:], 0.0, atol=1e-4)
+    times = np.linspace(0, 5, 5001)
+    speed = np.linalg.norm(replanner.reference(times).vel, axis=1)
+    steps = np.linalg.norm(np.diff(replanner.reference(times).pos, axis=0), axis=1)
+    assert (steps <= 0.001 * np.maximum(speed[:-1], speed[1:]) + 1e-4).all()
+
+
+def test_committed_interception_survives_cycles_without_a_candidate(planner):
+    goal = np.array([-4.0, -1.0, 1.0])
+    nothing = candidates_from(goal, np.full((2, 3), np.nan), np.ones(2), np.zeros(2))
+    replanner, cycles = run(planner, Script(near(goal, 3.0), nothing), 5)
+    assert cycles[0].status is PlanStatus.INTERCEPT
+    assert [cycle.status for cycle in cycles[1:]] == [PlanStatus.NO_CANDIDATE] * 4
+    assert len(replanner.plans) == 2
+    np.testing.assert_allclose(replanner.reference(np.array([50.0])).pos[0], goal, atol=1e-6)
+
+
+def test_unreachable_target_is_approached(planner):
+    far = np.array([4.0, 4.0, 1.0])
+    replanner, cycles = run(planner, Script(near(far, 0.5)), 3)
+    assert cycles[0].status is PlanStatus.APPROACH
+    end = replanner.committed.spline.state(float(replanner.committed.spline.duration))
+    assert np.linalg.norm(end.pos - far) < np.linalg.norm(START - far) - 1.0
+    np.testing.assert_allclose(end.derivatives[1:], 0.0, atol=1e-4)
