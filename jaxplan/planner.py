@@ -25,9 +25,9 @@ from jaxplan.policy.protocol import Policy
 from jaxplan.prediction.candidates import Candidates, candidates_from, reject_early
 from jaxplan.records import record
 from jaxplan.search.knots import KnotConfig, select_route
-from jaxplan.search.lattice import Paths, SearchConfig, build_lattices, find_paths
-from jaxplan.search.lattice import warmup as warm_up_search
-from jaxplan.search.shorten import shorten
+from jaxplan.search.lattice import Paths, SearchConfig, build_lattices
+from jaxplan.search.routes import find_routes
+from jaxplan.search.routes import warmup as warm_up_search
 from jaxplan.selection import CheckConfig, Margins, check
 from jaxplan.selection import select as select_best
 from jaxplan.spline import FlatState, PiecewisePolynomial
@@ -55,8 +55,8 @@ class PlannerConfig:
     """Average yaw rate [rad/s] that a segment may ask for (arbitrary)."""
     likelihood_weight: float = 1.0
     """Seconds that a likelihood of 1 is worth in the selection (paper eq. 9 leaves the unit open)."""
-    path_capacity: int = 160
-    """Points of the longest searched path; longer ones are planned as prefixes."""
+    path_capacity: int = 32
+    """Corners of the longest taut path; longer ones are planned as prefixes."""
     buckets: tuple[int, ...] = (36, 100, 400)
     """Candidate counts that are compiled; a batch is padded to the next one, larger batches are refused."""
     knots: KnotConfig = KnotConfig()
@@ -159,8 +159,7 @@ def build_planner(
     def search(state: FlatState, goals: Float[np.ndarray, "k 3"], target: Float[np.ndarray, "3"]) -> Paths:
         start = np.asarray(state.pos)
         distance = float(np.linalg.norm(target - start))
-        paths = find_paths(lattices, world, start, goals, distance, capacity=config.path_capacity)
-        return shorten(paths, lattices)
+        return find_routes(lattices, world, start, goals, distance, capacity=config.path_capacity)
 
     @in_float64
     def plan_batch(state: FlatState, candidates: Candidates, timer: Timer | None = None) -> Plans:

@@ -91,9 +91,13 @@ def test_nan_is_a_reason_and_stays_in_its_lane(room):
     durations = np.ones((3, 3))
     waypoints[2, 0, 1] = np.nan
     durations[1, 2] = np.nan
+
+    def trace(waypoints, durations):
+        splines = fit(hover(np.array([-3.0, -3, 0])), waypoints, durations, 3.0)
+        return check(splines, waypoints, room, load_vehicle(), CheckConfig())
+
     with jax.enable_x64(True):
-        splines = fit(hover(waypoints[0, :, 0]), jnp.asarray(waypoints), jnp.asarray(durations), 3.0)
-        margins = check(splines, jnp.asarray(waypoints), room, load_vehicle(), CheckConfig())
+        margins = jax.jit(trace)(waypoints, durations)
     reasons = np.asarray(margins.reasons)
     assert reasons[0] == 0
     assert reasons[1] & int(Reason.NONFINITE)
