@@ -27,8 +27,8 @@ PADDING = 0.5
 """m, from the interception paper: distance that paths keep from obstacles."""
 RESOLUTIONS = (0.1, 0.2, 0.5, 1.0)
 """m, from the interception paper."""
-MAX_CELLS = 2**26
-"""Cells of the finest lattice; 64 MB of occupancy."""
+MAX_CELLS = 2**24
+"""Cells of the finest lattice; 16 MB of occupancy, and about 0.5 GB behind a search on it."""
 
 CHUNK = 2**13
 """Points per compiled call of the clearance."""
