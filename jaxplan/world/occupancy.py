@@ -59,6 +59,8 @@ def occupancy_lattices(
 ) -> tuple[Lattice, ...]:
     """One lattice per resolution [m], finest first; each resolution is a multiple of the first. ``padding`` [m]."""
     factors = _factors(resolutions)
+    if not 0.0 <= padding < np.inf:
+        raise InputError(f"padding: have {padding!r}, want a distance of at least 0 m")
     bounds = np.asarray(world.bounds, dtype=np.float64)
     shape = _shape(bounds, resolutions[0])
     cells = float(np.prod(shape.astype(float)))
