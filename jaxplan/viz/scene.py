@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap
 from matplotlib.patches import Polygon, Rectangle
 from scipy.spatial import ConvexHull, QhullError
 
-from jaxplan.world.obstacles import Mesh, World
+from jaxplan.world.obstacles import DistanceGrid, Mesh, World
 
 FILL, EDGE, FAINT = "#b9bec6", "#5b626c", "#d4d8de"
 SHARP_COSINE = np.cos(np.radians(25.0))
@@ -37,11 +38,26 @@ def draw_world(axes: Axes, world: World, across: int, level: float) -> None:
         cut = bool(solid[:, across].min() <= level <= solid[:, across].max())
         style = {"facecolor": FILL, "edgecolor": EDGE} if cut else {"facecolor": "none", "edgecolor": FAINT}
         axes.add_patch(Polygon(_outline(solid[:, shown]), closed=True, linewidth=0.8, zorder=1.5 + 0.1 * cut, **style))
+    if world.voxels is not None:
+        _draw_voxels(axes, world.voxels, across, level)
     if world.mesh is not None:
         edges = sharp_edges(world.mesh)[..., shown]
         cuts = section(world.mesh, across, level)[..., shown]
         axes.add_collection(LineCollection(list(edges), colors=FAINT, linewidths=0.6, zorder=1.4), autolim=False)
         axes.add_collection(LineCollection(list(cuts), colors=EDGE, linewidths=1.6, zorder=1.6), autolim=False)
+
+
+def _draw_voxels(axes: Axes, voxels: DistanceGrid, across: int, level: float) -> None:
+    """Fill the occupied cells that the section plane cuts."""
+    occupied, spacing = np.asarray(voxels.occupied), float(voxels.spacing)
+    lower = np.asarray(voxels.origin, dtype=float)
+    index = int(np.clip((level - lower[across]) / spacing, 0, occupied.shape[across] - 1))
+    cells = np.take(occupied, index, axis=across).T
+    shown = [axis for axis in range(3) if axis != across]
+    ends = lower + np.array(occupied.shape) * spacing
+    extent = (lower[shown[0]], ends[shown[0]], lower[shown[1]], ends[shown[1]])
+    image = np.ma.masked_where(~cells, np.ones(cells.shape))
+    axes.imshow(image, origin="lower", extent=extent, cmap=ListedColormap([FILL]), aspect="auto", zorder=1.4)
 
 
 def solids(world: World) -> Iterator[Solid]:

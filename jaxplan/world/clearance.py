@@ -5,11 +5,12 @@ of its own axes, the distance is ``|max(q, 0)| + min(max_i q_i, 0)``: outside an
 the squared outside parts and the inside parts are minimised apart, so one square root serves all boxes, cylinders and
 planes.
 
-Meshes: a lower bound from the exact squared distances D_i at the grid nodes n_i. Squared distance to any set is
-``|p|^2`` plus a concave function of p (a minimum of affine ones), so by Jensen's inequality the trilinear weights w_i
-give ``d(p)^2 >= sum w_i D_i - sum w_i |n_i - p|^2 = sum w_i D_i - h^2 sum_axis t (1 - t)`` with t the point's
-fractions in its cell: never an overestimate. Where one flat or pointed feature is nearest throughout a cell it falls
-short by at most ``3/4 h^2`` in the square; where several compete, by at most ``sqrt(3)/2 h`` more in the distance.
+Meshes and voxels: a lower bound from the exact squared distances D_i at the grid nodes n_i. Squared distance to any
+set is ``|p|^2`` plus a concave function of p (a minimum of affine ones), so by Jensen's inequality the trilinear
+weights w_i give ``d(p)^2 >= sum w_i D_i - sum w_i |n_i - p|^2 = sum w_i D_i - h^2 sum_axis t (1 - t)``, t being the
+point's fractions in its cell: never an overestimate. Where one flat or pointed feature is nearest throughout a cell it
+falls short by at most ``3/4 h^2`` in the square; where several compete, by at most ``sqrt(3)/2 h`` more in the
+distance.
 
 Precision: float64 where the caller's JAX has 64-bit types enabled. Layout: the coordinates are separate arrays, so
 that each primitive is one vectorised pass over the points.
@@ -21,7 +22,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxplan.world.obstacles import Boxes, Capsules, Cylinders, Mesh, Obstacles, Planes, Spheres, World
+from jaxplan.world.obstacles import Boxes, Capsules, Cylinders, DistanceGrid, Mesh, Obstacles, Planes, Spheres, World
 
 _UNROLL = 8
 """Primitives per pass over the points; measured, 4 to 16 are alike."""
@@ -43,9 +44,9 @@ class _Points(NamedTuple):
 def clearance(world: World | Obstacles, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
     """Signed distance [m] from each point (world frame, m) to the nearest obstacle; negative inside one.
 
-    The room's own faces do not count (see ``wall_clearance``). Exact for primitives; for a mesh a lower bound that is
-    never negative. No obstacle at all: inf. A point with a coordinate that is not finite: NaN, so that
-    ``clearance >= margin`` is False.
+    The room's own faces do not count (see ``wall_clearance``). Exact for primitives; for a mesh and for
+    voxels a lower bound that is never negative. No obstacle at all: inf. A point with a coordinate that is not
+    finite: NaN, so that ``clearance >= margin`` is False.
     """
     obstacles = world.obstacles if isinstance(world, World) else world
     points = jnp.asarray(points)
@@ -59,7 +60,9 @@ def clearance(world: World | Obstacles, points: Float[Array, "*batch 3"]) -> Flo
     nearest = _over_primitives(_capsule, obstacles.capsules, p, nearest)
     distance = _sqrt(nearest.outside) + nearest.inside
     if obstacles.mesh is not None:
-        distance = jnp.minimum(distance, _mesh_distance(obstacles.mesh, p))
+        distance = jnp.minimum(distance, _grid_distance(obstacles.mesh, p))
+    if obstacles.voxels is not None:
+        distance = jnp.minimum(distance, _grid_distance(obstacles.voxels, p))
     return jnp.where(finite, distance, jnp.nan)
 
 
@@ -139,14 +142,14 @@ def _sqrt(squared: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     return jnp.where(positive, root, jnp.where(squared > 0.0, jnp.inf, 0.0))
 
 
-def _mesh_distance(mesh: Mesh, p: _Points) -> Float[Array, "*batch"]:
-    """Lower bound of the distance to the surface [m], >= 0. Outside the grid, whose box contains the mesh, the triangle
+def _grid_distance(grid: Mesh | DistanceGrid, p: _Points) -> Float[Array, "*batch"]:
+    """Lower bound of the distance [m], >= 0. Outside the grid, whose box contains all that is solid, the triangle
     inequality with the nearest point of the grid's box, or the distance to that box, whichever is larger."""
-    shape = mesh.squared.shape
-    spacing = jnp.asarray(mesh.spacing, p.x.dtype)
+    shape = grid.squared.shape
+    spacing = jnp.asarray(grid.spacing, p.x.dtype)
     weights, indices, correction, beyond = [], [], 0.0, 0.0
     for axis, coordinate in enumerate(p):
-        steps = (coordinate - mesh.origin[axis]) / spacing
+        steps = (coordinate - grid.origin[axis]) / spacing
         held = jnp.clip(steps, 0.0, shape[axis] - 1.0)
         index = jnp.clip(jnp.floor(held), 0, shape[axis] - 2)
         fraction = held - index
@@ -154,7 +157,7 @@ def _mesh_distance(mesh: Mesh, p: _Points) -> Float[Array, "*batch"]:
         indices.append(index.astype(jnp.int32))
         correction += fraction * (1.0 - fraction)
         beyond += (steps - held) ** 2
-    squared = _trilinear(jnp.asarray(mesh.squared, p.x.dtype), indices, weights) - spacing**2 * correction
+    squared = _trilinear(jnp.asarray(grid.squared, p.x.dtype), indices, weights) - spacing**2 * correction
     outside = spacing * _sqrt(jnp.asarray(beyond))
     return jnp.maximum(_sqrt(squared) - outside, outside)
 

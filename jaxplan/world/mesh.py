@@ -1,4 +1,4 @@
-"""Surface meshes: reading STL files, and the grid of exact squared distances behind ``clearance``.
+"""Surface meshes, and the grid of exact squared distances behind ``clearance``.
 
 A mesh is a hollow shell: its inside reads as free, and is unreachable from outside. The room of a mesh world is the box
 around the mesh, which also caps the height of halls that are open at the top.
@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 from jaxplan.errors import FileError
 from jaxplan.numerics import in_float64, safe_divide
 from jaxplan.world.obstacles import DEFAULT_KEEP_IN, Mesh, World, make_obstacles
+from jaxplan.world.voxels import sides
 
 SPACING = 0.1
 """m between grid nodes. Measured on a hall of boxes: the clearance falls short of the truth by 1 cm in the mean."""
@@ -31,19 +32,13 @@ _CENTRES = 64
 """Block centres per compiled call of the culling."""
 
 
-def load_stl(path: Path, data: bytes) -> World:
-    """The world of an STL file [m, z up], whose bytes are ``data``; its room is the box around the mesh."""
-    vertices, faces = _read_stl(path, data)
+def mesh_world(path: Path, kind: str, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> World:
+    """The world of a surface [m, z up]; its room is the box around the mesh."""
     lower, upper = vertices.min(axis=0), vertices.max(axis=0)
-    nodes = np.ceil((upper - lower) / SPACING - 1e-9) + 1.0
-    if not np.prod(nodes) <= MAX_NODES:
-        raise FileError(
-            f"{path}: the mesh spans {_sides(upper - lower)} m, want at most {MAX_NODES} cells of {SPACING:g} m; "
-            "if it is in millimetres, scale it to metres"
-        )
+    check_mesh(path, vertices, faces)
     if not (upper - lower > 2.0 * DEFAULT_KEEP_IN).all():
         raise FileError(
-            f"{path}: the mesh spans {_sides(upper - lower)} m, want more than {2 * DEFAULT_KEEP_IN:g} m along each "
+            f"{path}: the mesh spans {sides(upper - lower)} m, want more than {2 * DEFAULT_KEEP_IN:g} m along each "
             "axis; give the whole room, in metres"
         )
     return World(
@@ -51,8 +46,21 @@ def load_stl(path: Path, data: bytes) -> World:
         bounds=np.stack([lower, upper]),
         obstacles=make_obstacles(mesh=mesh_with_distances(vertices, faces)),
         keep_in=np.float64(DEFAULT_KEEP_IN),
-        provenance=f"{path} (STL surface, {len(faces)} triangles; the room is the box around it)",
+        provenance=f"{path} ({kind} surface, {len(faces)} triangles; the room is the box around it)",
     )
+
+
+def check_mesh(path: Path, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> None:
+    """Refuse a mesh that is too large for a grid of distances."""
+    if len(faces) > MAX_FACES:
+        raise FileError(f"{path}: have {len(faces)} triangles, want at most {MAX_FACES}; simplify the mesh")
+    extent = vertices.max(axis=0) - vertices.min(axis=0)
+    nodes = np.ceil(extent / SPACING - 1e-9) + 1.0
+    if not np.prod(nodes) <= MAX_NODES:
+        raise FileError(
+            f"{path}: the mesh spans {sides(extent)} m, want at most {MAX_NODES} cells of {SPACING:g} m; "
+            "if it is in millimetres, scale it to metres"
+        )
 
 
 def mesh_with_distances(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Mesh:
@@ -62,38 +70,6 @@ def mesh_with_distances(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarra
     shape = np.maximum(np.ceil((upper - lower) / SPACING - 1e-9).astype(int) + 1, 2)
     squared = _squared_distances(lower, shape, vertices[faces])
     return Mesh(vertices=vertices, faces=np.asarray(faces), squared=squared, origin=lower, spacing=np.float64(SPACING))
-
-
-def _sides(extent: Float[np.ndarray, "3"]) -> str:
-    return " x ".join(f"{side:.4g}" for side in extent)
-
-
-def _read_stl(path: Path, data: bytes) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
-    """Vertices [m] and faces; ``FileError`` for whatever is not a usable STL file."""
-    import trimesh  # heavy, and only mesh worlds need it
-
-    count = int.from_bytes(data[80:84], "little")
-    binary = len(data) >= 84 and len(data) == 84 + 50 * count
-    if not binary and not (data.lstrip().startswith(b"solid") and b"endsolid" in data):
-        raise FileError(
-            f"{path}: have {len(data)} bytes that are not STL, want a binary or ASCII STL file; export it again"
-        )
-    try:
-        mesh = trimesh.load(trimesh.util.wrap_as_stream(data if binary else data.decode("utf-8")), file_type="stl")
-        vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
-    except (ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
-        raise FileError(f"{path}: the STL file cannot be read ({_one_line(error)}); export it again") from error
-    if len(faces) == 0 or vertices.size == 0:
-        raise FileError(f"{path}: the mesh is empty, want at least one triangle; export the surface again")
-    if len(faces) > MAX_FACES:
-        raise FileError(f"{path}: have {len(faces)} triangles, want at most {MAX_FACES}; simplify the mesh")
-    if not np.isfinite(vertices).all():
-        raise FileError(f"{path}: the mesh has NaN or infinite vertices, want finite metres; export it again")
-    return vertices, faces
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]
 
 
 @in_float64

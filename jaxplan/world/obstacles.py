@@ -4,7 +4,7 @@ World frame, z up, metres. Every kind of primitive is a record of arrays with a 
 """
 
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxplan.errors import InputError
 from jaxplan.records import record, static
@@ -91,6 +91,19 @@ class Mesh:
 
 
 @record
+class DistanceGrid:
+    """Occupied cells, with the squared distance to them at the cells' corners, held at a largest value."""
+
+    occupied: Bool[Array, "nx ny nz"]
+    squared: Float[Array, "mx my mz"]
+    """One node more than cells along each axis [m^2]."""
+    origin: Float[Array, "3"]
+    """Lower corner of cell (0, 0, 0), and node (0, 0, 0) [m]."""
+    spacing: Float[Array, ""]
+    """Side of a cell [m]."""
+
+
+@record
 class Obstacles:
     """All that is solid in a room, without the room's own faces."""
 
@@ -100,6 +113,7 @@ class Obstacles:
     capsules: Capsules
     planes: Planes
     mesh: Mesh | None = None
+    voxels: DistanceGrid | None = None
 
 
 @record
@@ -155,6 +169,10 @@ class World:
         return self.obstacles.mesh
 
     @property
+    def voxels(self) -> DistanceGrid | None:
+        return self.obstacles.voxels
+
+    @property
     def diagonal(self) -> float:
         """Length of the room's space diagonal [m] (host)."""
         return float(np.linalg.norm(np.asarray(self.bounds)[1] - np.asarray(self.bounds)[0]))
@@ -195,6 +213,7 @@ def make_obstacles(
     capsules: Capsules | None = None,
     planes: Planes | None = None,
     mesh: Mesh | None = None,
+    voxels: DistanceGrid | None = None,
 ) -> Obstacles:
     """Obstacles of the kinds that are given; the other kinds are empty."""
     return Obstacles(
@@ -204,4 +223,5 @@ def make_obstacles(
         capsules=no_capsules() if capsules is None else capsules,
         planes=no_planes() if planes is None else planes,
         mesh=mesh,
+        voxels=voxels,
     )

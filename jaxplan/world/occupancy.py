@@ -27,8 +27,8 @@ PADDING = 0.5
 """m, from the interception paper: distance that paths keep from obstacles."""
 RESOLUTIONS = (0.1, 0.2, 0.5, 1.0)
 """m, from the interception paper."""
-MAX_CELLS = 2**26
-"""Cells of the finest lattice; 64 MB of occupancy."""
+MAX_CELLS = 2**24
+"""Cells of the finest lattice; 16 MB of occupancy, and about 0.5 GB behind a search on it."""
 
 CHUNK = 2**13
 """Points per compiled call of the clearance."""
@@ -59,6 +59,8 @@ def occupancy_lattices(
 ) -> tuple[Lattice, ...]:
     """One lattice per resolution [m], finest first; each resolution is a multiple of the first. ``padding`` [m]."""
     factors = _factors(resolutions)
+    if not 0.0 <= padding < np.inf:
+        raise InputError(f"padding: have {padding!r}, want a distance of at least 0 m")
     bounds = np.asarray(world.bounds, dtype=np.float64)
     shape = _shape(bounds, resolutions[0])
     cells = float(np.prod(shape.astype(float)))

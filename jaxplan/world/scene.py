@@ -15,31 +15,41 @@ from jaxtyping import Float
 
 from jaxplan.errors import FileError, InputError
 from jaxplan.world.box_json import load_box_json
-from jaxplan.world.mesh import load_stl
+from jaxplan.world.mesh import check_mesh, mesh_with_distances
+from jaxplan.world.mesh_files import load_obj, load_ply, load_stl
 from jaxplan.world.mjcf import check_mjcf
+from jaxplan.world.mjcf_probe import probe_mjcf
+from jaxplan.world.npz_grid import load_npz_grid
 from jaxplan.world.obstacles import (
     DEFAULT_KEEP_IN,
     Boxes,
     Capsules,
     Cylinders,
+    Mesh,
     Obstacles,
     Planes,
     Spheres,
     World,
     make_obstacles,
 )
+from jaxplan.world.octomap import load_octomap
+from jaxplan.world.points import load_npy, load_pcd
 
 __all__ = ["ENVIRONMENTS", "World", "environment_path", "load_world"]
 
 ENVIRONMENTS = ("env1", "env2", "env3")
 """Names of the stored worlds."""
 
-_MAX_BYTES = {".xml": 4 * 2**20, ".json": 16 * 2**20, ".stl": 128 * 2**20}
+_MAX_BYTES = {".xml": 4 * 2**20, ".json": 16 * 2**20, ".bt": 16 * 2**20}
+_MAX_BYTES |= dict.fromkeys((".stl", ".obj", ".ply", ".pcd", ".npy", ".npz"), 128 * 2**20)
 """Largest file per ending; arbitrary, far above any room."""
 
 
 def load_world(name_or_path: str | Path) -> World:
-    """The world of a stored name (``ENVIRONMENTS``) or of a file: MJCF (.xml), mesh (.stl), rotorpy boxes (.json).
+    """The world of a stored name (``ENVIRONMENTS``) or of a file.
+
+    Files, by their ending: MJCF (.xml), surface meshes (.stl, .obj, .ply), point clouds (.pcd, .npy, and .ply without
+    faces), OctoMap's binary trees (.bt), occupancy grids (.npz), rotorpy's boxes (.json).
 
     World frame z up, metres. Raises ``InputError`` for an unknown name, ``FileError`` for a file that cannot be used.
     """
@@ -86,9 +96,12 @@ def _read_bytes(path: Path, limit: int) -> bytes:
 
 def _load_mjcf(path: Path, data: bytes) -> World:
     """The world of an MJCF file, whose bytes are ``data``."""
-    text = check_mjcf(path, data)
+    scene = check_mjcf(path, data)
+    assets = {name: _read_bytes(path.parent / name, _MAX_BYTES[".stl"]) for name in scene.meshes}
+    if path.parent != environment_path(ENVIRONMENTS[0]).parent:
+        probe_mjcf(path, scene.text, assets)
     try:
-        model = mujoco.MjModel.from_xml_string(text)
+        model = mujoco.MjModel.from_xml_string(scene.text, assets)
     except ValueError as error:
         raise FileError(f"{path}: MuJoCo refuses it ({' '.join(str(error).split())[:200]}); correct it") from error
     state = mujoco.MjData(model)
@@ -137,13 +150,13 @@ def _obstacles(path: Path, model: mujoco.MjModel, state: mujoco.MjData) -> Obsta
     kinds = mujoco.mjtGeom
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     known = [kinds.mjGEOM_BOX, kinds.mjGEOM_CYLINDER, kinds.mjGEOM_SPHERE, kinds.mjGEOM_CAPSULE, kinds.mjGEOM_PLANE]
-    unknown = solid & ~np.isin(model.geom_type, [int(kind) for kind in known])
+    unknown = solid & ~np.isin(model.geom_type, [int(kind) for kind in (*known, kinds.mjGEOM_MESH)])
     if unknown.any():
         index = int(np.flatnonzero(unknown)[0])
         kind = kinds(int(model.geom_type[index])).name.removeprefix("mjGEOM_").lower()
         raise FileError(
             f"{path}: geom {model.geom(index).name or index!r} is of type {kind}, "
-            "want box, cylinder, sphere, capsule or plane; replace it, or give a mesh as an .stl file"
+            "want box, cylinder, sphere, capsule, plane or mesh; replace it"
         )
     rotation = state.geom_xmat.reshape(-1, 3, 3)
     chosen = [np.flatnonzero(solid & (model.geom_type == int(kind))) for kind in known]
@@ -159,8 +172,36 @@ def _obstacles(path: Path, model: mujoco.MjModel, state: mujoco.MjData) -> Obsta
             center=position[capsule], axis=axis[capsule], radius=size[capsule, 0], half_length=size[capsule, 1]
         ),
         planes=Planes(normal=axis[plane], offset=np.sum(axis[plane] * position[plane], axis=1)),
+        mesh=_meshes(path, model, state, np.flatnonzero(solid & (model.geom_type == int(kinds.mjGEOM_MESH)))),
     )
 
 
-_READERS: dict[str, Callable[[Path, bytes], World]] = {".xml": _load_mjcf, ".stl": load_stl, ".json": load_box_json}
+def _meshes(path: Path, model: mujoco.MjModel, state: mujoco.MjData, geoms: np.ndarray) -> Mesh | None:
+    """The surfaces of all mesh geoms as one; MuJoCo itself collides with their convex hulls."""
+    vertices, faces, count = [], [], 0
+    for geom in geoms:
+        mesh = model.mesh(int(model.geom_dataid[geom]))
+        first, number = int(mesh.vertadr[0]), int(mesh.vertnum[0])
+        own = model.mesh_vert[first : first + number].astype(np.float64)
+        vertices.append(own @ state.geom_xmat[geom].reshape(3, 3).T + state.geom_xpos[geom])
+        start = int(mesh.faceadr[0])
+        faces.append(model.mesh_face[start : start + int(mesh.facenum[0])].astype(np.int64) + count)
+        count += number
+    if not vertices:
+        return None
+    check_mesh(path, np.concatenate(vertices), np.concatenate(faces))
+    return mesh_with_distances(np.concatenate(vertices), np.concatenate(faces))
+
+
+_READERS: dict[str, Callable[[Path, bytes], World]] = {
+    ".xml": _load_mjcf,
+    ".stl": load_stl,
+    ".obj": load_obj,
+    ".ply": load_ply,
+    ".pcd": load_pcd,
+    ".npy": load_npy,
+    ".npz": load_npz_grid,
+    ".bt": load_octomap,
+    ".json": load_box_json,
+}
 """Which reader takes a file, by its ending."""

@@ -1,0 +1,104 @@
+"""OctoMap's binary trees (``.bt``), metres, z up.
+
+A text header, then the tree depth first: two bits for each of a node's eight children (1 free, 2 occupied, 3 an inner
+node that follows, 0 unknown). Child i lies on the upper side in x, y, z where bit 0, 1, 2 of i is set; cells of the
+lowest of the 16 levels have the side ``res``. The room is the box around all known cells. What nobody has seen is
+occupied: a vehicle must not fly where a wall may be.
+"""
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Int
+
+from jaxplan.errors import FileError
+from jaxplan.world.obstacles import World
+from jaxplan.world.voxels import check_cells, voxel_world
+
+DEPTH = 16
+_HEADER = re.compile(rb"\A# Octomap OcTree binary file\s*\n(?:[^\n]*\n){0,64}?data\s?\n")
+_FREE, _OCCUPIED, _INNER = 1, 2, 3
+_MAX_HEADER = 4096
+
+
+class _Leaves(NamedTuple):
+    """Known leaves: lower corner in cells from the tree's lower corner, side in cells, and whether occupied."""
+
+    corner: Int[np.ndarray, "n 3"]
+    side: Int[np.ndarray, "n"]
+    occupied: np.ndarray
+
+
+def load_octomap(path: Path, data: bytes) -> World:
+    """The world of an OctoMap binary tree, whose bytes are ``data``; unknown cells are occupied."""
+    resolution, body = _header(path, data)
+    leaves = _read_tree(path, body)
+    first, last = leaves.corner.min(axis=0), (leaves.corner + leaves.side[:, None]).max(axis=0)
+    check_cells(path, (last - first).astype(float), resolution)
+    occupied = np.ones(tuple(last - first), dtype=bool)
+    for side in np.unique(leaves.side):
+        chosen = ~leaves.occupied & (leaves.side == side)
+        _clear(occupied, leaves.corner[chosen] - first, int(side))
+    origin = (first - 2 ** (DEPTH - 1)) * resolution
+    kind = f"OctoMap, {len(leaves.side)} known leaves, cells of {resolution:g} m, unknown cells occupied"
+    return voxel_world(path, kind, occupied, origin, resolution)
+
+
+def _clear(occupied: np.ndarray, corner: Int[np.ndarray, "n 3"], side: int) -> None:
+    """Free the cubes of ``side`` cells; the few large ones one by one."""
+    if side > 4:
+        for x, y, z in corner:
+            occupied[x : x + side, y : y + side, z : z + side] = False
+        return
+    for i in range(side):
+        for j in range(side):
+            for k in range(side):
+                occupied[corner[:, 0] + i, corner[:, 1] + j, corner[:, 2] + k] = False
+
+
+def _header(path: Path, data: bytes) -> tuple[float, bytes]:
+    """Side of the smallest cells [m], and the bytes of the tree."""
+    match = _HEADER.match(data[:_MAX_HEADER])
+    fields = dict(re.findall(rb"^(id|res|size) +(\S+)\s*$", match.group(), re.MULTILINE)) if match else {}
+    try:
+        resolution = float(fields.get(b"res", b"nan"))
+    except ValueError:
+        resolution = np.nan
+    if match is None or fields.get(b"id") != b"OcTree" or not 1e-3 <= resolution <= 1e2:
+        raise FileError(
+            f"{path}: have no OctoMap binary header, want '# Octomap OcTree binary file', 'id OcTree', "
+            "'res METRES' and 'data' lines; write it with writeBinary"
+        )
+    return resolution, data[match.end() :]
+
+
+def _read_tree(path: Path, body: bytes) -> _Leaves:
+    """All known leaves, by one pass over the nodes."""
+    corners, sides, states = [], [], []
+    stack, position, end = [(0, 0, 0, 2**DEPTH)], 0, len(body)
+    while stack:
+        x, y, z, side = stack.pop()
+        if position + 2 > end or side < 2:
+            what = "ends in the middle of the tree" if side >= 2 else f"has more than {DEPTH} levels"
+            raise FileError(f"{path}: the OctoMap {what}, want a whole tree; copy the file again")
+        bits = body[position] | body[position + 1] << 8
+        position, half = position + 2, side // 2
+        inner = []
+        for child in range(8):
+            state = bits >> 2 * child & 3
+            if state == 0:
+                continue
+            corner = (x + half * (child & 1), y + half * (child >> 1 & 1), z + half * (child >> 2))
+            if state == _INNER:
+                inner.append((*corner, half))
+            else:
+                corners.append(corner)
+                sides.append(half)
+                states.append(state)
+        stack.extend(reversed(inner))
+    if position != end or not corners:
+        what = f"{end - position} bytes after the tree" if corners else "no known cell"
+        raise FileError(f"{path}: the OctoMap has {what}, want one whole tree; write it again")
+    return _Leaves(np.array(corners), np.array(sides), np.array(states) == _OCCUPIED)
