@@ -69,9 +69,9 @@ def occupancy_lattices(
             f"world {world.name!r}: have {cells:.3g} cells of {resolutions[0]:g} m, want at most {MAX_CELLS}; "
             "use a smaller room or a coarser finest resolution"
         )
-    padded = _near_obstacle(world.obstacles, bounds[0], shape, resolutions[0], padding)
+    padded = padded_cells(world.obstacles, bounds[0], shape, resolutions[0], padding)
     return tuple(
-        _lattice(world, _coarsen(padded, factor), resolution)
+        _lattice(world, coarsen(padded, factor), resolution)
         for factor, resolution in zip(factors, resolutions, strict=True)
     )
 
@@ -100,17 +100,25 @@ def _shape(bounds: Float[np.ndarray, "2 3"], resolution: float) -> np.ndarray:
 
 
 @in_float64
-def _near_obstacle(
-    obstacles: Obstacles, origin: np.ndarray, shape: np.ndarray, resolution: float, padding: float
+def padded_cells(
+    obstacles: Obstacles,
+    origin: np.ndarray,
+    shape: np.ndarray,
+    resolution: float,
+    padding: float,
+    first: tuple[int, int, int] = (0, 0, 0),
 ) -> Bool[np.ndarray, "nx ny nz"]:
-    """Which cells' centres are closer than ``padding`` to an obstacle; a chunk of cells at a time."""
+    """Which cells' centres are closer than ``padding`` to an obstacle; a chunk of cells at a time.
+
+    ``origin`` is the lower corner of the lattice [m]; the ``shape`` cells from cell ``first`` on are judged.
+    """
     count = int(np.prod(shape))
     padded = np.empty(count, dtype=bool)
-    for first in range(0, count, CHUNK):
-        index = np.minimum(np.arange(first, first + CHUNK), count - 1)
-        centres = origin + (np.stack(np.unravel_index(index, shape), axis=-1) + 0.5) * resolution
-        far = np.asarray(compiled_clearance(obstacles, centres)) >= padding
-        padded[first : first + CHUNK] = ~far[: count - first]
+    for begin in range(0, count, CHUNK):
+        index = np.minimum(np.arange(begin, begin + CHUNK), count - 1)
+        cells = np.stack(np.unravel_index(index, shape), axis=-1) + np.asarray(first)
+        far = np.asarray(compiled_clearance(obstacles, origin + (cells + 0.5) * resolution)) >= padding
+        padded[begin : begin + CHUNK] = ~far[: count - begin]
     return padded.reshape(shape)
 
 
@@ -118,23 +126,27 @@ compiled_clearance = jax.jit(clearance)
 """Shared, so that the search compiles no second program for ``CHUNK`` points."""
 
 
-def _coarsen(padded: Bool[np.ndarray, "nx ny nz"], factor: int) -> Bool[np.ndarray, "mx my mz"]:
+def coarsen(padded: Bool[np.ndarray, "nx ny nz"], factor: int) -> Bool[np.ndarray, "mx my mz"]:
     """A coarse cell is set if any fine cell in it is."""
     filled = np.pad(padded, [(0, -n % factor) for n in padded.shape])
     mx, my, mz = (n // factor for n in filled.shape)
     return np.asarray(filled.reshape(mx, factor, my, factor, mz, factor).any(axis=(1, 3, 5)))
 
 
-def _lattice(world: World, near_obstacle: Bool[np.ndarray, "nx ny nz"], resolution: float) -> Lattice:
+def kept_in(world: World, resolution: float, shape: tuple[int, ...]) -> Bool[np.ndarray, "nx ny nz"]:
+    """Which cells' centres keep the world's margin from the room's faces."""
     bounds, margin = np.asarray(world.bounds, dtype=np.float64), float(world.keep_in) - _ROUNDING
-    centres = cell_centres(bounds[0], resolution, near_obstacle.shape)
     inside = [
         (centre >= bounds[0, axis] + margin) & (centre <= bounds[1, axis] - margin)
-        for axis, centre in enumerate(centres)
+        for axis, centre in enumerate(cell_centres(bounds[0], resolution, shape))
     ]
-    kept_in = inside[0][:, None, None] & inside[1][None, :, None] & inside[2][None, None, :]
+    return np.asarray(inside[0][:, None, None] & inside[1][None, :, None] & inside[2][None, None, :])
+
+
+def _lattice(world: World, near_obstacle: Bool[np.ndarray, "nx ny nz"], resolution: float) -> Lattice:
+    bounds = np.asarray(world.bounds, dtype=np.float64)
     return Lattice(
-        occupied=near_obstacle | ~kept_in,
+        occupied=near_obstacle | ~kept_in(world, resolution, near_obstacle.shape),
         near_obstacle=near_obstacle,
         origin=bounds[0].copy(),
         resolution=float(resolution),
