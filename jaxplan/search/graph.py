@@ -67,16 +67,23 @@ def plain(graph: Graph) -> tuple:
 
 
 def permitted_moves(occupied: Bool[np.ndarray, "nx ny nz"]) -> UInt32[np.ndarray, "n"]:
-    """Per cell the bit mask of steps that stay in free cells and cut no corner."""
+    """Per cell the bit mask of steps that stay in free cells and cut no corner.
+
+    The box of a step is free where it is free along x, and that line one step further in y, and that face in z.
+    """
     free = np.pad(~occupied, 1)
-    inner = tuple(slice(1, n + 1) for n in occupied.shape)
     moves = np.zeros(occupied.shape, dtype=np.uint32)
-    for bit, step in enumerate(STEPS):
-        allowed = free[inner].copy()
-        for corner in np.unique(np.array(np.meshgrid(*([0, s] for s in step))).reshape(3, -1).T, axis=0):
-            allowed &= free[tuple(slice(1 + c, n + 1 + c) for c, n in zip(corner, occupied.shape, strict=True))]
+    lines = {i: _both(free, 0, i) for i in (-1, 0, 1)}
+    faces = {(i, j): _both(lines[i], 1, j) for i in (-1, 0, 1) for j in (-1, 0, 1)}
+    for bit, (i, j, k) in enumerate(STEPS.tolist()):
+        allowed = _both(faces[i, j], 2, k)[1:-1, 1:-1, 1:-1]
         moves |= allowed.astype(np.uint32) << np.uint32(bit)
     return moves.reshape(-1)
+
+
+def _both(free: Bool[np.ndarray, "x y z"], axis: int, step: int) -> Bool[np.ndarray, "x y z"]:
+    """Where a place and the one a step further are free; the outermost places are not."""
+    return free if step == 0 else free & np.roll(free, -step, axis=axis)
 
 
 def index(x, origin, h, count):  # type: ignore[no-untyped-def]

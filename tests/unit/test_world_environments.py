@@ -52,7 +52,8 @@ def test_obstacles_are_clearly_different() -> None:
 def test_stored_targets_keep_their_distance(name: str) -> None:
     world, stored = load_world(name), targets(name)
     assert len(stored["trajectories"]) == 10
-    assert stored["command"] == f"python -m experiments.generate_targets --world {name} --count 10 --seed 1"
+    routed = "" if name == "env1" else " --routed"
+    assert stored["command"] == f"python -m experiments.generate_targets --world {name} --count 10 --seed 1{routed}"
     ends = set()
     for trajectory in stored["trajectories"].values():
         spline = target_spline(np.array(trajectory["waypoints"]), np.array(trajectory["durations"]))
