@@ -10,6 +10,7 @@ from jaxplan.search import astar
 from jaxplan.search.graph import NO_ENTRY, STEPS, Graph, make_frame, permitted_moves
 from oracles.search_dijkstra import STEPS as ORACLE_STEPS
 from oracles.search_dijkstra import grid_edges, number, shortest
+from oracles.search_sight import crossed_cells
 from tolerances import assert_close
 
 
@@ -26,9 +27,9 @@ def make_graph(occupied: np.ndarray, fine: np.ndarray | None = None, h: float = 
 
 
 def sees(fine: np.ndarray, a: np.ndarray, b: np.ndarray, h: float) -> bool:
-    """By 2000 samples; the goal's own cell does not count."""
-    cells = np.floor(np.linspace(a, b, 2000) / h).astype(int)
-    counted = (cells != cells[-1]).any(axis=1)
+    """Every cell that the segment crosses is free; the goal's own cell does not count."""
+    cells = crossed_cells(a, b, np.zeros(3), h)
+    counted = (cells != np.floor(b / h).astype(int)).any(axis=1)
     return not fine[tuple(cells[counted].T)].any()
 
 
@@ -69,6 +70,19 @@ def test_costs_equal_dijkstra_on_random_maps(seed: int, factor: int) -> None:
     found = astar.search(make_graph(occupied, fine), start, goals, np.ones(12, bool), 10_000)
     assert_close(found.cost, oracle_costs(occupied, fine, 1.0, start, goals), "formula")
     np.testing.assert_array_equal(found.entry == NO_ENTRY, ~np.isfinite(found.cost))
+
+
+@pytest.mark.slow
+def test_costs_equal_dijkstra_on_a_thousand_maps() -> None:
+    for seed in range(1000):
+        rng = np.random.default_rng(seed)
+        occupied = rng.random((5, 5, 3)) < rng.uniform(0.05, 0.4)
+        if (~occupied).sum() < 3:
+            continue
+        start, goals = free_points(rng, occupied, 1, 1.0)[0], free_points(rng, occupied, 4, 1.0)
+        found = astar.search(make_graph(occupied), start, goals, np.ones(4, bool), 10_000)
+        expected = oracle_costs(occupied, occupied, 1.0, start, goals)
+        np.testing.assert_allclose(found.cost, expected, rtol=0.0, atol=1e-9)
 
 
 def read_maze(text: str) -> np.ndarray:

@@ -1,0 +1,158 @@
+"""Search and knots for 400 candidates over the cycles of a pursuit, against SciPy's Dijkstra and scikit-image's MCP.
+
+    python -m benchmarks.bench_search --cycles 60 --peers 5
+
+Each cycle puts the defender at a random share of the way to a stored target, so that all distances between the drones
+occur, and asks for routes to 20 predicted positions of the target with 20 noisy copies of each. The peers solve the
+same cycle on the lattice of the paper's rule, all goals in one search; they have no knots to select and no start or
+goal off the lattice.
+"""
+
+import argparse
+import json
+import platform
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+
+from jaxplan.io.targets import load_target, stored_targets
+from jaxplan.numerics import in_float64
+from jaxplan.search.graph import LENGTHS, STEPS
+from jaxplan.search.knots import KnotConfig, select_route
+from jaxplan.search.lattice import build_lattices, choose_level
+from jaxplan.search.routes import find_routes, warmup
+from jaxplan.world.scene import ENVIRONMENTS, load_world
+
+CAPACITY = 32
+STEP = {"env1": 0.1, "env2": 0.2, "env3": 0.2}
+"""Seconds between predictions (interception paper, section IV)."""
+
+
+def cycles(name, world, lattices, count, rng):
+    """Pairs of a defender's position [m] and 400 goals [m]."""
+    names = stored_targets(name)
+    while count > 0:
+        target = load_target(names[rng.integers(len(names))], world=name, speed=rng.uniform(0.5, 5.5))
+        times = rng.uniform(0.0, target.duration) + STEP[name] * np.arange(1, 21)
+        goals = target.position(times)
+        route = find_routes(lattices, world, world.start, goals[:1], 1e9)
+        if route.reasons[0]:
+            continue
+        share, points = rng.uniform(), route.points[0, : route.count[0]]
+        travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        start = np.array([np.interp(share * travelled[-1], travelled, points[:, axis]) for axis in range(3)])
+        noise = rng.normal(scale=0.01 * np.sqrt(np.arange(1, 21))[:, None, None], size=(20, 20, 3))
+        yield start, (goals[:, None] + noise).reshape(-1, 3), goals[0]
+        count -= 1
+
+
+def lattice_edges(lattices, level):
+    """The lattice as a sparse matrix [m], built once per map."""
+    lattice = lattices.levels[level]
+    shape = np.array(lattice.grid.shape)
+    strides = np.array([shape[1] * shape[2], shape[2], 1])
+    rows, columns, lengths = [], [], []
+    for bit in range(26):
+        cells = np.flatnonzero(lattice.moves >> np.uint32(bit) & np.uint32(1))
+        rows.append(cells)
+        columns.append(cells + STEPS[bit] @ strides)
+        lengths.append(np.full(len(cells), LENGTHS[bit] * lattice.grid.resolution))
+    entries = (np.concatenate(lengths), (np.concatenate(rows), np.concatenate(columns)))
+    return coo_array(entries, shape=(len(lattice.moves),) * 2).tocsr()
+
+
+def cells_of(grid, points):
+    index = np.floor((points - grid.origin) / grid.resolution).astype(int)
+    return np.clip(index, 0, np.array(grid.shape) - 1)
+
+
+def scipy_paths(edges, grid, start, goals):
+    """Dijkstra from the start's cell, and the walk back from every goal's cell."""
+    source = int(np.ravel_multi_index(tuple(cells_of(grid, start)), grid.shape))
+    ends = np.ravel_multi_index(tuple(cells_of(grid, goals).T), grid.shape)
+    _, before = dijkstra(edges, indices=source, return_predecessors=True)
+    paths = []
+    for end in ends:
+        path = [end]
+        while before[path[-1]] >= 0:
+            path.append(before[path[-1]])
+        paths.append(path)
+    return paths
+
+
+def image_paths(grid, start, goals):
+    """scikit-image's geometric minimum cost paths; they cut corners."""
+    from skimage.graph import MCP_Geometric
+
+    search = MCP_Geometric(np.where(grid.occupied, -1.0, 1.0), fully_connected=True)
+    ends = np.unique(cells_of(grid, goals), axis=0)
+    ends = ends[~grid.occupied[tuple(ends.T)]]
+    costs, _ = search.find_costs([tuple(cells_of(grid, start))], [tuple(end) for end in ends])
+    return [search.traceback(tuple(end)) for end in ends if np.isfinite(costs[tuple(end)])]
+
+
+def milliseconds(function, *arguments):
+    began = time.perf_counter()
+    jax.block_until_ready(function(*arguments))
+    return 1e3 * (time.perf_counter() - began)
+
+
+@in_float64
+def measure(name, count, peers, seed):
+    """Times [ms] of one world's cycles, per method."""
+    world, rng = load_world(name), np.random.default_rng(seed)
+    began = time.perf_counter()
+    lattices = build_lattices(world)
+    built = time.perf_counter()
+    warmup(lattices, world, CAPACITY)
+    warm = time.perf_counter()
+    knots = jax.jit(jax.vmap(lambda path: select_route(path, KnotConfig())))
+    jax.block_until_ready(knots(np.zeros((400, CAPACITY, 3))))
+    times = {"routes": [], "knots": [], "routes + knots": [], "scipy": [], "skimage": []}
+    edges = {}
+    for number, (start, goals, target) in enumerate(cycles(name, world, lattices, count, rng)):
+        distance = float(np.linalg.norm(target - start))
+        times["routes"].append(milliseconds(find_routes, lattices, world, start, goals, distance, CAPACITY))
+        routes = find_routes(lattices, world, start, goals, distance, CAPACITY)
+        times["knots"].append(milliseconds(knots, routes.points))
+        times["routes + knots"].append(times["routes"][-1] + times["knots"][-1])
+        level = choose_level(lattices, distance, world.diagonal)
+        if number < peers:
+            if level not in edges:
+                edges[level] = lattice_edges(lattices, level)
+            grid = lattices.levels[level].grid
+            times["scipy"].append(milliseconds(scipy_paths, edges[level], grid, start, goals))
+            times["skimage"].append(milliseconds(image_paths, grid, start, goals))
+    rows = {method: quantiles(values) for method, values in times.items() if values}
+    return {"build_s": built - began, "warmup_s": warm - built, "cycles": count, "ms": rows}
+
+
+def quantiles(values):
+    return {"p50": float(np.median(values)), "p99": float(np.quantile(values, 0.99)), "max": float(np.max(values))}
+
+
+def main(argv=None):
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cycles", type=int, default=60)
+    parser.add_argument("--peers", type=int, default=5, help="cycles that the peers solve too")
+    parser.add_argument("--worlds", nargs="+", default=list(ENVIRONMENTS))
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args(argv)
+    results = {"cpu": platform.processor() or platform.machine(), "jax": jax.__version__, "worlds": {}}
+    for name in options.worlds:
+        results["worlds"][name] = row = measure(name, options.cycles, options.peers, options.seed)
+        print(f"{name}: build {row['build_s']:.2f} s, warm-up {row['warmup_s']:.2f} s, {options.cycles} cycles")
+        for method, values in row["ms"].items():
+            print(f"  {method:<15} p50 {values['p50']:8.2f}  p99 {values['p99']:8.2f}  max {values['max']:8.2f} ms")
+    if options.out:
+        options.out.write_text(json.dumps(results, indent=1) + "\n")
+    return results
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,118 @@
+"""Tune the knots: how far minimum snap strays from its path, against how many segments it costs.
+
+    python -m experiments.tune_knots --pairs 120 --out docs/images/knots.png
+
+Random pairs of free points in the three environments are joined by taut routes. For each pair of k_d,min and k_c,min
+every route gets its knots and a minimum-snap trajectory from rest to rest at a constant mean speed, and the deviation
+test of the planner is made on it. The choice is the fewest segments whose share of rejected trajectories is within two
+percentage points of the least one.
+"""
+
+import itertools
+from pathlib import Path
+from typing import NamedTuple
+
+import cyclopts
+import jax
+import numpy as np
+
+from jaxplan.minsnap.problem import minimum_snap
+from jaxplan.numerics import in_float64
+from jaxplan.search.knots import KnotConfig, select_route
+from jaxplan.search.lattice import build_lattices
+from jaxplan.search.routes import find_routes
+from jaxplan.viz.knots import draw_knot_tuning
+from jaxplan.world.scene import ENVIRONMENTS, load_world
+
+DISTANCES = (1.0, 1.5, 2.0, 3.0, 4.0)
+"""Values of k_d,min [m] that are tried."""
+TURNINGS = (0.12, 0.25, 0.5, 1.0)
+"""Values of k_c,min [rad] that are tried."""
+ALLOWED = 0.5
+"""Deviation [m] that the paper allows."""
+
+
+class Outcome(NamedTuple):
+    """One setting over all routes."""
+
+    distance: float
+    turning: float
+    segments: float
+    """Mean number."""
+    median: float
+    """Deviation [m]."""
+    rejected: float
+    """Share of trajectories that stray by more than ``ALLOWED``."""
+
+
+def random_routes(pairs, seed):
+    """Taut routes [m] between random free points, about as many from each environment; straight ones are left out."""
+    routes = []
+    for name in ENVIRONMENTS:
+        world = load_world(name)
+        lattices, rng = build_lattices(world), np.random.default_rng(seed)
+        grid = lattices.levels[0].grid
+        free = grid.origin + (np.argwhere(~grid.occupied) + 0.5) * grid.resolution
+        while sum(owner == name for owner, _ in routes) < pairs // len(ENVIRONMENTS):
+            start, goal = free[rng.integers(len(free), size=2)]
+            found = find_routes(lattices, world, start, goal[None], float(np.linalg.norm(goal - start)))
+            if found.reasons[0] == 0 and found.count[0] > 2:
+                routes.append((name, found.points[0]))
+    return [route for _, route in routes]
+
+
+@in_float64
+def outcome(routes, distance, turning):
+    """Segments and deviations of all routes for one setting."""
+    config = KnotConfig(distance_per_knot=distance, turning_per_knot=turning)
+    select = jax.jit(lambda path: select_route(path, config))
+    deviations, segments = [], []
+    for path in routes:
+        route = jax.tree.map(np.asarray, select(path))
+        waypoints = route.knots.waypoints[: int(route.knots.count)]
+        durations = np.maximum(np.linalg.norm(np.diff(waypoints, axis=0), axis=1), 1e-3)
+        curve = minimum_snap(waypoints, durations)
+        points = np.asarray(curve.evaluate(np.linspace(0.0, float(curve.duration), 400)))[:, :3]
+        deviations.append(distance_to_path(points, route.samples).max())
+        segments.append(len(durations))
+    deviations = np.array(deviations)
+    return Outcome(distance, turning, np.mean(segments), np.median(deviations), np.mean(deviations > ALLOWED))
+
+
+def distance_to_path(points, path):
+    """From each point to the nearest point of a polyline [m]."""
+    edges = np.diff(path, axis=0)
+    squares = np.maximum((edges**2).sum(axis=1), 1e-12)
+    offset = points[:, None] - path[:-1]
+    share = np.clip((offset * edges).sum(axis=2) / squares, 0.0, 1.0)
+    return np.linalg.norm(offset - share[..., None] * edges, axis=2).min(axis=1)
+
+
+def choose(outcomes):
+    """The fewest segments among the settings that reject hardly more than the best one."""
+    least = min(item.rejected for item in outcomes)
+    return min((item for item in outcomes if item.rejected <= least + 0.02), key=lambda item: item.segments)
+
+
+app = cyclopts.App(name="tune_knots", help=__doc__)
+
+
+@app.default
+def main(pairs: int = 120, seed: int = 0, out: Path = Path("knots.png")) -> None:
+    """Print a table, the choice, and draw both."""
+    routes = random_routes(pairs, seed)
+    outcomes = [outcome(routes, *setting) for setting in itertools.product(DISTANCES, TURNINGS)]
+    print("k_d,min [m]  k_c,min [rad]  segments  median deviation [m]  above 0.5 m")
+    for item in outcomes:
+        print(
+            f"{item.distance:>11.1f}  {item.turning:>13.2f}  {item.segments:>8.2f}  {item.median:>20.3f}  "
+            f"{item.rejected:>11.1%}"
+        )
+    chosen = choose(outcomes)
+    print(f"chosen: k_d,min = {chosen.distance:g} m, k_c,min = {chosen.turning:g} rad ({len(routes)} routes)")
+    lines = {f"k_c,min = {turning:g} rad": [o for o in outcomes if o.turning == turning] for turning in TURNINGS}
+    draw_knot_tuning(lines, chosen, out)
+
+
+if __name__ == "__main__":
+    app()
