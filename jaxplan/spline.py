@@ -69,32 +69,34 @@ class PiecewisePolynomial:
     """Seconds per segment; 0 marks padding."""
     position: Float[Array, "m n 3"]
     """Ascending coefficients in normalised time, metres."""
-    yaw: Float[Array, "m k"]
-    """Ascending coefficients in normalised time, radians (unwrapped)."""
+    yaw: Float[Array, "m k"] | None = None
+    """Ascending coefficients in normalised time, radians (unwrapped); None for a path without heading."""
 
     @property
     def duration(self) -> Float[Array, ""]:
         return self.durations.sum()
 
-    def evaluate(self, t: Float[Array, "*t"], derivative: int = 0) -> Float[Array, "*t 4"]:
+    def evaluate(self, t: Float[Array, "*t"], derivative: int = 0) -> Float[Array, "*t c"]:
         """Position and yaw, or their ``derivative``-th time derivative, at ``t`` [s] from the start.
 
-        Shape (..., 4), yaw last: m and rad per s^derivative.
+        Shape (..., 4) with yaw last, or (..., 3) where the spline has no yaw: m and rad per s^derivative.
         """
         xp = _namespace(self.durations, t)
         segment, s = self._locate(xp.asarray(t, dtype=self.durations.dtype), xp)
         duration = self.durations[segment]
         position = _horner(self.position[segment], s, duration, derivative, xp)
+        if self.yaw is None:
+            return position
         yaw = _horner(self.yaw[segment][..., None], s, duration, derivative, xp)
         return xp.concatenate([position, yaw], axis=-1)
 
     def state(self, t: Float[Array, "*t"]) -> FlatState:
-        """The flat state at ``t`` [s] from the start: position to snap, yaw to yaw acceleration."""
+        """The flat state at ``t`` [s] from the start: position to snap, yaw to yaw acceleration (0 without yaw)."""
         xp = _namespace(self.durations, t)
         rows = [self.evaluate(t, derivative) for derivative in range(5)]
         return FlatState(
             derivatives=xp.stack([row[..., :3] for row in rows], axis=-2),
-            yaw=xp.stack([row[..., 3] for row in rows[:3]], axis=-1),
+            yaw=xp.zeros_like(rows[0]) if self.yaw is None else xp.stack([row[..., 3] for row in rows[:3]], axis=-1),
         )
 
     def dilate(self, alpha: Float[Array, ""]) -> "PiecewisePolynomial":

@@ -40,6 +40,29 @@ def energy(order: int) -> np.ndarray:
     return _to_float(_multiply(_transpose(basis), _multiply(gram, basis)))
 
 
+@functools.cache
+def energy_root(order: int) -> np.ndarray:
+    """(r+2, 2r+2) matrix whose Gram matrix is ``energy``: the r-th derivative in orthonormal Legendre polynomials.
+
+    Squaring after the projection instead of before keeps the energy accurate where it is small beside its parts.
+    """
+    n = 2 * order + 2
+    basis = _coefficients_exact(order)
+    rows = []
+    for degree in range(order + 2):
+        weights = [Fraction(0)] * n
+        for a in range(order, n):
+            for power, factor in enumerate(_legendre(degree)):
+                weights[a] += factor * Fraction(math.perm(a, order), a - order + power + 1)
+        rows.append(weights)
+    return np.sqrt(2.0 * np.arange(order + 2)[:, None] + 1.0) * _to_float(_multiply(rows, basis))
+
+
+def reversal(order: int) -> np.ndarray:
+    """(r,) signs of the derivatives 1..r when time runs backwards."""
+    return (-1.0) ** np.arange(1, order + 1)
+
+
 def derivative_table(order: int, s: np.ndarray, derivative: int) -> np.ndarray:
     """(S, 2r+2) rows that evaluate the ``derivative``-th derivative in s from ascending coefficients."""
     n = 2 * order + 2
@@ -58,6 +81,14 @@ def _coefficients_exact(order: int) -> Matrix:
         for power in range(derivative, n):
             end_values[order + 1 + derivative][power] = Fraction(math.perm(power, derivative))
     return _inverse(end_values)
+
+
+def _legendre(degree: int) -> list[Fraction]:
+    """Ascending coefficients of the shifted Legendre polynomial on [0, 1]."""
+    return [
+        Fraction((-1) ** (degree + power) * math.comb(degree, power) * math.comb(degree + power, power))
+        for power in range(degree + 1)
+    ]
 
 
 def _inverse(matrix: Matrix) -> Matrix:

@@ -6,15 +6,20 @@ For one trajectory through the waypoints p_0 .. p_m with durations T_1 .. T_m:
     subject to f_i(0) = p_{i-1}, f_i(T_i) = p_i, derivatives 1..r shared at the knots,
                some derivatives given at the ends                       (paper eq. 4; r = 4, yaw r = 2)
 
-The unknowns are the knot derivatives. A segment couples neighbouring knots only, so the normal equations
-A y = f are block tridiagonal with r x r blocks: one Cholesky sweep forward, one substitution backward,
-linear in m. Unknowns are scaled by their diagonal, which keeps the condition number near 1e6 even when
-neighbouring durations differ 40:1.
+The unknowns are the knot derivatives. A segment couples neighbouring knots only, so the normal equations are block
+tridiagonal with r x r blocks (``elimination``): the work is linear in m. Unknowns are scaled by their diagonal, which
+keeps the condition number near 1e6 even when neighbouring durations differ 40:1.
 
-Layout: **the batch is the last axis** of every array, so that each scalar of the small-block algebra is one
-vector over the batch; ``tests/oracles/minsnap_dense.py`` is the single-problem twin.
+Derivatives of the solution come from rules of their own, not from differentiating the factorisation: the knots by the
+implicit function theorem (a second solve with the same matrix), the optimal cost by the envelope theorem (the partial
+derivatives at fixed knots, because at the optimum the cost does not change with the free ones).
+
+Layout: **the batch is the last axis** of every array, so that each scalar of the small-block algebra is one vector
+over the batch; ``tests/oracles/minsnap_dense.py`` is the single-problem twin. A duration of 0 marks padding, which
+follows the real segments.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -22,135 +27,239 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxplan.minsnap import blocks, hermite
+from jaxplan.minsnap import elimination, hermite
 
 
-class _Knot(NamedTuple):
-    """One row of the block-tridiagonal system: the segments on both sides of a knot."""
+class Problem(NamedTuple):
+    """A batch of problems, in the solver's layout."""
 
-    duration_left: Float[Array, "b"]
-    duration_right: Float[Array, "b"]
-    step_left: Float[Array, "d b"]
-    step_right: Float[Array, "d b"]
-    known: Bool[Array, "r b"]
-    value_before: Float[Array, "r d b"]
-    value: Float[Array, "r d b"]
-    value_after: Float[Array, "r d b"]
+    durations: Float[Array, "m b"]
+    """Seconds per segment; 0 marks padding."""
+    steps: Float[Array, "m d b"]
+    """p_i - p_{i-1} [m]; 0 on padding."""
+    values: Float[Array, "m+1 r d b"]
+    """The prescribed derivatives 1..r [m/s^k] at the knots; 0 where they are free."""
 
 
-class _Row(NamedTuple):
-    """One row of the factor: A = L L^T with diagonal blocks ``cholesky`` and L_{i,i-1}^T = ``coupling``."""
+class Ends(NamedTuple):
+    """Which derivatives are prescribed at the ends (known when a function is built, not traced)."""
 
-    cholesky: Float[Array, "r r b"]
-    coupling: Float[Array, "r r b"]
-    forward: Float[Array, "r d b"]
-    scale: Float[Array, "r b"]
+    fixed: int
+    """At the start, and at the goal unless it is free: derivatives 1 .. fixed."""
+    goal_free: bool = False
+    goal_moves: bool = False
+    """The derivatives prescribed at the goal may differ from 0."""
 
 
-def knot_derivatives(
+REST = Ends(4)
+"""Everything is given at the start, and the goal is reached at rest."""
+
+
+def problem(
     durations: Float[Array, "m b"],
-    steps: Float[Array, "m d b"],
-    known: Bool[Array, "m+1 r b"],
-    values: Float[Array, "m+1 r d b"],
-) -> Float[Array, "m+1 r d b"]:
-    """Optimal derivatives 1..r at every knot.
+    points: Float[Array, "m+1 d b"],
+    initial: Float[Array, "r d b"],
+    terminal: Float[Array, "r d b"] | None,
+    ends: Ends,
+) -> Problem:
+    """The problem between waypoints, with derivatives given at the ends as ``ends`` says."""
+    steps = jnp.where((durations > 0.0)[:, None], jnp.diff(points, axis=0), 0.0)
+    given = (jnp.arange(1, initial.shape[0] + 1) <= ends.fixed)[:, None, None]
+    values = jnp.zeros((points.shape[0], *initial.shape), durations.dtype)
+    if terminal is not None and ends.goal_moves:
+        at_goal = jnp.arange(points.shape[0])[:, None] == _count(durations)
+        values = jnp.where(at_goal[:, None, None] & given, terminal, values)
+    return Problem(durations, steps, values.at[0].set(jnp.where(given, initial, 0.0)))
 
-    Args:
-        durations: seconds per segment; 0 marks padding, which must follow the real segments.
-        steps: p_i - p_{i-1} [m]; must be 0 on padding.
-        known: which knot derivatives are prescribed (all of them behind the last real knot).
-        values: the prescribed derivatives [m/s^k]; must be 0 where not known.
+
+def knot_derivatives(problem: Problem, ends: Ends) -> Float[Array, "m+1 r d b"]:
+    """Optimal derivatives 1..r at every knot; 0 behind the last real one."""
+    rows, scale = _system(problem, ends)
+    inner = _unknown_knots(problem, ends)
+    force = -_pull(problem, ends)[inner] * scale[inner][:, :, None]
+    own = jax.tree.map(lambda x: x[inner], rows)
+    solved = jax.lax.custom_linear_solve(
+        lambda x: elimination.multiply(own, x), force, lambda _, b: elimination.solve(own, b), symmetric=True
+    )
+    free = jnp.zeros_like(problem.values).at[inner].set(solved * scale[inner][:, :, None])
+    return free + problem.values
+
+
+def cost(problem: Problem, ends: Ends) -> Float[Array, "b"]:
+    """The optimal cost: the integral of the squared r-th derivative, m^2/s^(2r-1)."""
+    return _cost_of(ends)(problem)
+
+
+def gradient(
+    problem: Problem, knots: Float[Array, "m+1 r d b"], ends: Ends
+) -> tuple[Float[Array, "b"], Problem, Float[Array, "b"]]:
+    """The cost at its optimal ``knots``, its gradient, and how far the optimality conditions are from holding.
+
+    Returns:
+        The cost E; its partial derivatives by durations, steps and prescribed values; and the residual, the largest
+        |dE/dx| / (2 sqrt(E)) over the free knot derivatives x, scaled so that its largest possible value is 1.
     """
-    order, lanes = known.shape[1], durations.shape[-1]
-    durations, steps = _surround(durations), _surround(steps)
-    around = _surround(values)
-    knots = _Knot(durations[:-1], durations[1:], steps[:-1], steps[1:], known, around[:-2], values, around[2:])
-    nothing = jnp.zeros((order, order, lanes), durations.dtype)
-    start = _Row(
-        cholesky=nothing + jnp.eye(order, dtype=durations.dtype)[..., None],
-        coupling=nothing,
-        forward=jnp.zeros((*values.shape[1:],), durations.dtype),
-        scale=jnp.zeros((order, lanes), durations.dtype),
-    )
-    _, rows = jax.lax.scan(_eliminate, start, knots)
-    _, unknowns = jax.lax.scan(_substitute, jnp.zeros_like(start.forward), rows, reverse=True)
-    return unknowns * rows.scale[:, :, None] + values
+    order = problem.values.shape[1]
+    parts, powers, push = _normalised(problem, knots)
+    root = hermite.energy_root(order)[:, 1:]
+    values = jnp.stack(parts)
+    projected = _project(root, values)
+    pulls = _project(2.0 * root.T, projected)
+    energies = jnp.sum(projected * projected, axis=(0, 2))
+    exponents = np.concatenate([np.arange(1.0, order + 1), [0.0], np.arange(1.0, order + 1)]) - (order - 0.5)
+    weighted = jnp.asarray(exponents, values.dtype)[:, None, None, None] * pulls * values
+    by_duration = jnp.sum(weighted, axis=(0, 2)) * _inverse(problem.durations)
+    from_right = jnp.moveaxis(pulls[:order], 0, 1) * powers[:, :, None]
+    from_left = jnp.moveaxis(pulls[order + 1 :], 0, 1) * powers[:, :, None]
+    by_knot = _at_knots(from_left, from_right)
+    known = _known(problem, ends)[:, :, None]
+    scale = _scale(powers, _known(problem, ends))[:, :, None]
+    total = jnp.sum(energies, axis=0)
+    steepest = jnp.max(jnp.abs(by_knot * scale), axis=(0, 1, 2))
+    residual = steepest / jnp.where(total > 0.0, 2.0 * jnp.sqrt(total), 1.0)
+    by_step = pulls[order] * push[:, None]
+    partials = Problem(by_duration, by_step, jnp.where(known, by_knot, 0.0))
+    return total, partials, residual
 
 
-def _eliminate(previous: _Row, knot: _Knot) -> tuple[_Row, _Row]:
-    """Assemble the row of one knot, subtract what the previous knot determines, factor the rest."""
-    order = knot.known.shape[0]
-    matrix = hermite.energy(order)
-    at_start, at_end, goal = slice(1, order + 1), slice(order + 2, 2 * order + 2), order + 1
-    left, right = _powers(knot.duration_left, order), _powers(knot.duration_right, order)
-    own = _weigh(matrix[at_end, at_end], left) + _weigh(matrix[at_start, at_start], right)
-    to_left = _weigh(matrix[at_end, at_start], left)
-    to_right = _weigh(matrix[at_start, at_end], right)
-    force = -(
-        _pull(matrix[at_end, goal], left) * knot.step_left
-        + _pull(matrix[at_start, goal], right) * knot.step_right
-        + blocks.multiply(own, knot.value)
-        + blocks.multiply(to_left, knot.value_before)
-        + blocks.multiply(to_right, knot.value_after)
-    )
-    diagonal = jnp.stack([own[k, k] for k in range(order)])
-    unknown = ~knot.known & (diagonal > 0.0)
-    scale = jnp.where(unknown, jax.lax.rsqrt(jnp.where(unknown, diagonal, 1.0)), 0.0)
-    own = own * scale[:, None] * scale[None] + jnp.eye(order, dtype=own.dtype)[..., None] * ~unknown
-    to_left = to_left * scale[:, None] * previous.scale[None]
-    coupling = blocks.solve_lower(previous.cholesky, jnp.swapaxes(to_left, 0, 1))
-    cholesky = blocks.cholesky(own - blocks.multiply_transposed(coupling, coupling))
-    reduced = force * scale[:, None] - blocks.multiply_transposed(coupling, previous.forward)
-    row = _Row(cholesky, coupling, blocks.solve_lower(cholesky, reduced), scale)
-    return row, row
-
-
-def _substitute(from_right: Float[Array, "r d b"], row: _Row) -> tuple[Float[Array, "r d b"], Float[Array, "r d b"]]:
-    """Solve one row backwards; carries what this knot contributes to the knot before it."""
-    unknown = blocks.solve_lower_transposed(row.cholesky, row.forward - from_right)
-    return blocks.multiply(row.coupling, unknown), unknown
-
-
-def _powers(duration: Float[Array, "b"], order: int) -> tuple[list[Float[Array, "b"]], Float[Array, "b"]]:
-    """[T, T^2 .. T^r] and the weight T^-(2r-1) of the segment's energy (0 on padding)."""
-    real = duration > 0.0
-    safe = jnp.where(real, duration, 1.0)
-    powers = [safe]
-    for _ in range(order - 1):
-        powers.append(powers[-1] * safe)
-    return powers, jnp.where(real, safe / (powers[-1] * powers[-1]), 0.0)
-
-
-def _weigh(block: np.ndarray, scales: tuple) -> Float[Array, "r r b"]:
-    """The energy block of one segment in terms of time derivatives."""
-    powers, weight = scales
-    scaled = [power * weight for power in powers]
-    order = range(len(powers))
-    return jnp.stack([jnp.stack([float(block[k, j]) * scaled[k] * powers[j] for j in order]) for k in order])
-
-
-def _pull(column: np.ndarray, scales: tuple) -> Float[Array, "r 1 b"]:
-    """How a step of one metre over a segment acts on the derivatives at one of its ends."""
-    powers, weight = scales
-    return jnp.stack([float(column[k]) * power * weight for k, power in enumerate(powers)])[:, None]
-
-
-def _surround(values: Float[Array, "n ..."]) -> Float[Array, "n+2 ..."]:
-    blank = jnp.zeros_like(values[:1])
-    return jnp.concatenate([blank, values, blank])
-
-
-def segment_coefficients(
-    durations: Float[Array, "m b"],
-    starts: Float[Array, "m d b"],
-    steps: Float[Array, "m d b"],
-    knots: Float[Array, "m+1 r d b"],
-) -> Float[Array, "m n d b"]:
-    """Ascending coefficients in normalised time (n = 2r+2) from waypoints and knot derivatives."""
+def segment_coefficients(problem: Problem, starts: Float[Array, "m d b"], knots: Float[Array, "m+1 r d b"]) -> Array:
+    """Ascending coefficients (m, n, d, b) in normalised time (n = 2r+2) from waypoints and knot derivatives."""
     order = knots.shape[1]
-    powers = jnp.cumprod(jnp.broadcast_to(durations[:, None], (len(durations), order, durations.shape[-1])), axis=1)
-    left, right = knots[:-1] * powers[:, :, None], knots[1:] * powers[:, :, None]
-    ends = jnp.concatenate([jnp.zeros_like(steps)[:, None], left, steps[:, None], right], axis=1)
-    basis = jnp.asarray(hermite.coefficients(order), durations.dtype)
-    coefficients = jnp.einsum("ij,mjdb->midb", basis, ends)
-    return coefficients.at[:, 0].add(starts)
+    powers = _powers(problem.durations, order)
+    left = [knots[:-1, k] * powers[k][:, None] for k in range(order)]
+    right = [knots[1:, k] * powers[k][:, None] for k in range(order)]
+    basis = hermite.coefficients(order)
+    ends = [starts, *left, problem.steps, *right]
+    columns = np.concatenate([np.eye(2 * order + 2, 1), basis[:, 1:]], axis=1)
+    return _combine(columns, ends)
+
+
+def _cost_of(ends: Ends) -> Callable[[Problem], Array]:
+    """The optimal cost with the envelope theorem as its rule; its derivatives differentiate the knots implicitly."""
+
+    @jax.custom_jvp
+    def optimal(problem: Problem) -> Float[Array, "b"]:
+        return _energy(problem, knot_derivatives(problem, ends))
+
+    @optimal.defjvp
+    def rule(primals: tuple, tangents: tuple) -> tuple:
+        value, partials, _ = gradient(primals[0], knot_derivatives(primals[0], ends), ends)
+        products = jax.tree.map(lambda a, b: jnp.sum(a * b, axis=tuple(range(a.ndim - 1))), partials, tangents[0])
+        return value, sum(products)
+
+    return optimal
+
+
+def _energy(problem: Problem, knots: Float[Array, "m+1 r d b"]) -> Float[Array, "b"]:
+    parts, _, _ = _normalised(problem, knots)
+    projected = _project(hermite.energy_root(problem.values.shape[1])[:, 1:], jnp.stack(parts))
+    return jnp.sum(projected * projected, axis=(0, 1, 2))
+
+
+def _normalised(problem: Problem, knots: Float[Array, "m+1 r d b"]) -> tuple[list[Array], Array, Array]:
+    """End values of each segment in normalised time, divided by T^(r-1/2): derivatives, step, derivatives."""
+    powers, push = _weights(problem.durations, problem.values.shape[1])
+    order = range(powers.shape[1])
+    left = [knots[:-1, k] * powers[:, k, None] for k in order]
+    right = [knots[1:, k] * powers[:, k, None] for k in order]
+    return [*left, problem.steps * push[:, None], *right], powers, push
+
+
+def _system(problem: Problem, ends: Ends) -> tuple[elimination.Rows, Float[Array, "m+1 r b"]]:
+    """The scaled normal equations at every knot, and the scale of each unknown (0 where prescribed)."""
+    powers, _ = _weights(problem.durations, problem.values.shape[1])
+    known = _known(problem, ends)
+    scale = _scale(powers, known)
+    blank = jnp.zeros_like(powers[:1])
+    before = scale * jnp.concatenate([blank, powers])
+    behind = scale * jnp.concatenate([powers, blank])
+    return elimination.Rows(before, behind, jnp.where(scale > 0.0, 0.0, 1.0).astype(scale.dtype)), scale
+
+
+def _scale(powers: Float[Array, "m r b"], known: Bool[Array, "m+1 r b"]) -> Float[Array, "m+1 r b"]:
+    """1 / sqrt of the energy's diagonal at the free knot derivatives, 0 elsewhere."""
+    order = powers.shape[1]
+    weight = jnp.asarray(np.diag(hermite.energy(order))[1 : order + 1], powers.dtype)[:, None]
+    squares = powers * powers
+    diagonal = weight * jnp.pad(squares, ((1, 0), (0, 0), (0, 0))) + weight * jnp.pad(squares, ((0, 1), (0, 0), (0, 0)))
+    free = ~known & (diagonal > 0.0)
+    return jnp.where(free, jax.lax.rsqrt(jnp.where(free, diagonal, 1.0)), 0.0)
+
+
+def _pull(problem: Problem, ends: Ends) -> Float[Array, "m+1 r d b"]:
+    """dE/dx / 2 at every knot for free derivatives 0: how the waypoints and the prescribed values pull."""
+    order = problem.values.shape[1]
+    powers, push = _weights(problem.durations, order)
+    energy = hermite.energy(order)
+    start, end, goal = slice(1, order + 1), slice(order + 2, 2 * order + 2), order + 1
+    steps = (problem.steps * push[:, None])[:, None]
+    column = jnp.asarray(energy[:, goal], steps.dtype)[:, None, None]
+    from_right = column[start] * powers[:, :, None] * steps
+    from_left = column[end] * powers[:, :, None] * steps
+    pull = _at_knots(from_left, from_right)
+    count = len(powers) if ends.goal_moves else 1
+    weights, values = powers[:count], problem.values[: count + 1]
+    parts = [values[:-1, k] * weights[:, k, None] for k in range(order)]
+    parts += [values[1:, k] * weights[:, k, None] for k in range(order)]
+    both = [*range(1, order + 1), *range(order + 2, 2 * order + 2)]
+    pull = pull.at[:count].add(_combine(energy[start][:, both], parts) * weights[:, :, None])
+    return pull.at[1 : count + 1].add(_combine(energy[end][:, both], parts) * weights[:, :, None])
+
+
+def _unknown_knots(problem: Problem, ends: Ends) -> slice:
+    """The knots that may have free derivatives."""
+    order, last = problem.values.shape[1], len(problem.durations)
+    return slice(1, last) if ends.fixed >= order and not ends.goal_free else slice(0, last + 1)
+
+
+def _known(problem: Problem, ends: Ends) -> Bool[Array, "m+1 r b"]:
+    """Which knot derivatives are prescribed: those of the ends, and all behind the goal."""
+    order = problem.values.shape[1]
+    index = jnp.arange(problem.values.shape[0])[:, None, None]
+    last = _count(problem.durations)[None, None]
+    given = (jnp.arange(1, order + 1) <= ends.fixed)[None, :, None]
+    at_ends = (index == 0) | ((index == last) & (not ends.goal_free))
+    return (at_ends & given) | (index > last)
+
+
+def _count(durations: Float[Array, "m b"]) -> Float[Array, "b"]:
+    return jnp.sum(durations > 0.0, axis=0)
+
+
+def _weights(durations: Float[Array, "m b"], order: int) -> tuple[Float[Array, "m r b"], Float[Array, "m b"]]:
+    """T^(k - r + 1/2) for the derivatives k = 1..r and for k = 0; 0 on padding."""
+    real = durations > 0.0
+    safe = jnp.where(real, durations, 1.0)
+    push = jnp.where(real, jax.lax.rsqrt(safe) / safe ** (order - 1), 0.0)
+    return jnp.stack([push * power for power in _powers(safe, order)], axis=1), push
+
+
+def _powers(durations: Float[Array, "m b"], order: int) -> list[Float[Array, "m b"]]:
+    """T, T^2 .. T^r."""
+    powers = [durations]
+    for _ in range(order - 1):
+        powers.append(powers[-1] * durations)
+    return powers
+
+
+def _inverse(durations: Float[Array, "m b"]) -> Float[Array, "m b"]:
+    real = durations > 0.0
+    return jnp.where(real, 1.0 / jnp.where(real, durations, 1.0), 0.0)
+
+
+def _at_knots(from_left: Float[Array, "m r d b"], from_right: Float[Array, "m r d b"]) -> Float[Array, "m+1 r d b"]:
+    """Sum at every knot of what the segment before it and the segment behind it contribute."""
+    width = ((1, 0), (0, 0), (0, 0), (0, 0))
+    return jnp.pad(from_left, width) + jnp.pad(from_right, (width[0][::-1], *width[1:]))
+
+
+def _project(matrix: np.ndarray, values: Float[Array, "j m d b"]) -> Float[Array, "i m d b"]:
+    """matrix @ values as one product: XLA repeats an elementwise one in each of its consumers."""
+    flat = jnp.asarray(matrix, values.dtype) @ values.reshape(len(values), -1)
+    return flat.reshape(len(matrix), *values.shape[1:])
+
+
+def _combine(matrix: np.ndarray, parts: list[Float[Array, "m d b"]]) -> Float[Array, "m i d b"]:
+    """matrix @ parts for every segment, axis and lane, as one elementwise expression."""
+    columns = jnp.asarray(matrix, parts[0].dtype)[:, :, None, None]
+    return sum(columns[:, j] * part[:, None] for j, part in enumerate(parts))  # type: ignore[return-value]

@@ -13,12 +13,43 @@ def minimum_derivative(waypoints, durations, initial, terminal, order=4, digits=
     ``initial`` and ``terminal`` are (r, d) derivatives 1..r, with NaN rows left free.
     """
     with mp.workdps(digits):
-        return _solve(np.asarray(waypoints), np.asarray(durations), np.asarray(initial), np.asarray(terminal), order)
+        coefficients, cost = _exact(waypoints, durations, initial, terminal, order)
+        return np.array(coefficients, dtype=float), float(cost)
+
+
+def cost_gradient(waypoints, durations, initial, terminal, order=4, digits=60):
+    """The cost's derivatives by the durations (m,) and by the waypoints (m+1, d): central differences of 1e-20."""
+    with mp.workdps(digits):
+        step = mp.mpf(10) ** -20
+
+        def slope(values, index, problem):
+            sides = []
+            for sign in (1, -1):
+                moved = np.array([[mp.mpf(float(v)) for v in np.ravel(row)] for row in values], dtype=object)
+                moved[index] += sign * step
+                sides.append(_exact(*problem(moved))[1])
+            return float((sides[0] - sides[1]) / (2 * step))
+
+        def by_time(moved):
+            return waypoints, moved[:, 0], initial, terminal, order
+
+        def by_point(moved):
+            return moved, durations, initial, terminal, order
+
+        times = [slope(np.asarray(durations)[:, None], (i, 0), by_time) for i in range(len(durations))]
+        points = [[slope(waypoints, (i, k), by_point) for k in range(3)] for i in range(len(waypoints))]
+        return np.array(times), np.array(points)
+
+
+def _exact(waypoints, durations, initial, terminal, order):
+    points = np.array([[mp.mpf(v) for v in row] for row in waypoints], dtype=object)
+    ends = (np.asarray(initial, dtype=float), np.asarray(terminal, dtype=float))
+    return _solve(points, [mp.mpf(t) for t in durations], *ends, order)
 
 
 def _solve(waypoints, durations, initial, terminal, order):
     m, n, d = len(durations), 2 * order + 2, waypoints.shape[1]
-    times = [mp.mpf(float(t)) for t in durations]
+    times = [mp.mpf(t) for t in durations]
     rows, right = [], []
 
     def add(entries, values):
@@ -61,8 +92,8 @@ def _kkt(rows, right, times, order, m, n, d):
             system[size + row, i * n + k] = value
             system[i * n + k, size + row] = value
         for axis in range(d):
-            vector[size + row, axis] = mp.mpf(float(values[axis]))
-    solution = mp.lu_solve(system, vector) if d == 1 else _columns(system, vector, d)
+            vector[size + row, axis] = mp.mpf(values[axis])
+    solution = _columns(system, vector, d)
     coefficients = [[[solution[i * n + k, axis] for axis in range(d)] for k in range(n)] for i in range(m)]
     cost = mp.mpf(0)
     for i in range(m):
@@ -72,13 +103,15 @@ def _kkt(rows, right, times, order, m, n, d):
                     cost += (
                         gram[a][b] * times[i] ** (1 - 2 * order) * coefficients[i][a][axis] * coefficients[i][b][axis]
                     )
-    return np.array(coefficients, dtype=float), float(cost)
+    return coefficients, cost
 
 
 def _columns(system, vector, d):
+    """Solve for several right-hand sides with one factorisation."""
+    factor, pivots = mp.mp.LU_decomp(system)
     out = mp.zeros(vector.rows, d)
     for axis in range(d):
-        column = mp.lu_solve(system, vector[:, axis])
+        column = mp.mp.U_solve(factor, mp.mp.L_solve(factor, vector[:, axis], pivots))
         for row in range(vector.rows):
             out[row, axis] = column[row]
     return out
