@@ -34,8 +34,6 @@ POSITION_ERROR_LIMIT = 0.4
 YAW_ERROR_LIMIT = np.deg2rad(45.0)
 """Tracking errors [m, rad] from which the defender counts as lost (paper, Sec. IV)."""
 
-STEPS_PER_CYCLE = 20
-"""Control steps between two replans: 0.1 s at 200 Hz."""
 LARGE_ROOM = 20.0
 """Room diagonal [m] from which predictions are 0.2 s apart instead of 0.1 s (paper, Sec. IV)."""
 
@@ -55,8 +53,15 @@ class Scenario:
     start: FlatState
     departure: float
     seed: int
+    memory: int
+    """Observations of the target that the predictor is given."""
     clearance: Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n"]]
     """Metres from the nearest obstacle or face of the room; compiled once for each n."""
+
+    def control_times(self, now: float) -> Float[np.ndarray, "n+1"]:
+        """Instants of the control steps from one replan to the next [s], both ends included."""
+        steps = round(self.replanner.config.period * CONTROL_RATE)
+        return now + np.arange(steps + 1) / CONTROL_RATE
 
 
 class Flight(NamedTuple):
@@ -139,6 +144,7 @@ def prepare(config: InterceptConfig) -> Scenario:
         start=start,
         departure=config.departure,
         seed=config.seed,
+        memory=prediction.observations,
         clearance=distance,
     )
 
@@ -148,7 +154,7 @@ def warm_up(scenario: Scenario) -> None:
     scenario.replanner.planner.warmup(scenario.start)
     key = jax.random.key(scenario.seed)
     state = scenario.plant.reset(scenario.start, key)
-    state, log = scenario.plant.fly(state, scenario.replanner.reference(np.zeros(STEPS_PER_CYCLE + 1)))
+    state, log = scenario.plant.fly(state, scenario.replanner.reference(scenario.control_times(0.0)))
     scenario.clearance(np.asarray(log.pos, dtype=float))
     jax.block_until_ready(state)
 
@@ -162,10 +168,10 @@ def fly(scenario: Scenario, progress: Progress, warmup_s: float = 0.0) -> Episod
     for index in range(int(np.ceil(target.duration / period))):
         now = index * period
         seen = target.position(np.array([now]))[0]
-        observations = observations.add(now, seen, 10) if observations else first_observation(now, seen)
+        observations = observations.add(now, seen, scenario.memory) if observations else first_observation(now, seen)
         if now >= scenario.departure - 1e-9:
             cycles.append(replanner.step(now, observations))
-        times = now + np.arange(STEPS_PER_CYCLE + 1) / CONTROL_RATE
+        times = scenario.control_times(now)
         state, log = scenario.plant.fly(state, replanner.reference(times))
         flight, outcome = _judge(_flight(times, log, scenario), scenario)
         flights.append(flight)
