@@ -7,7 +7,10 @@ A spline of NumPy arrays evaluates in NumPy: in float64, without compilation, wh
 flags. A spline of JAX arrays evaluates in JAX and may stand inside any transformation.
 """
 
+import functools
+import itertools
 import math
+from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
 
@@ -15,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxplan.errors import InputError
 from jaxplan.records import record
 
 
@@ -103,6 +107,66 @@ class PiecewisePolynomial:
         """The same path flown ``alpha`` times as slowly (derivative k shrinks by alpha^-k)."""
         return PiecewisePolynomial(durations=self.durations * alpha, position=self.position, yaw=self.yaw)
 
+    def sample(self, count: int) -> tuple[Float[Array, "s"], Float[Array, "s c"]]:
+        """``count`` evenly spaced times [s] from start to end, and position (and yaw) there."""
+        xp = _namespace(self.durations)
+        times = xp.linspace(0.0, 1.0, count) * self.duration
+        return times, self.evaluate(times)
+
+    def monomials(self) -> Float[Array, "m n 3"]:
+        """Ascending position coefficients in the time since each segment's start [m/s^k]; 0 on padding."""
+        xp = _namespace(self.durations)
+        real = (self.durations > 0.0)[:, None]
+        safe = xp.where(real, self.durations[:, None], 1.0)
+        powers = xp.where(real, 1.0 / safe ** np.arange(self.position.shape[1]), 0.0)
+        return self.position * powers[..., None]
+
+    def bound(self, derivative: int, pieces: int = 8) -> Float[Array, "m"]:
+        """An upper bound of the norm of the ``derivative``-th derivative of position on each segment [m/s^k].
+
+        Rigorous between samples: on each of ``pieces`` parts the polynomial lies in the hull of its Bernstein
+        coefficients (Farouki, CAGD 29(6), 2012). The excess shrinks with pieces^-2. 1 gives speed, 2 acceleration.
+        """
+        xp = _namespace(self.durations)
+        table = xp.asarray(_hull_table(self.position.shape[1], derivative, pieces), dtype=self.position.dtype)
+        points = xp.einsum("cn,mnd->mcd", table, self.position)
+        largest = xp.sqrt(xp.max(xp.sum(points * points, axis=-1), axis=-1))
+        real = self.durations > 0.0
+        return xp.where(real, largest / xp.where(real, self.durations, 1.0) ** derivative, 0.0)
+
+    def split(self, t: float) -> tuple["PiecewisePolynomial", "PiecewisePolynomial"]:
+        """The parts before and behind ``t`` [s], which must lie strictly inside (host, NumPy).
+
+        Raises InputError for another ``t``.
+        """
+        durations = np.asarray(self.durations)
+        if not 0.0 < t < durations.sum():
+            raise InputError(f"spline: cannot split at {t} s, want a time strictly between 0 and {durations.sum()} s")
+        ends = np.cumsum(durations)
+        segment = int(np.searchsorted(ends, t, side="left"))
+        share = (t - (ends[segment] - durations[segment])) / durations[segment]
+
+        def cut(coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            first, second = np.array(coefficients[: segment + 1]), np.array(coefficients[segment:])
+            first[-1] = _part_table(coefficients.shape[1], 0.0, share) @ coefficients[segment]
+            second[0] = _part_table(coefficients.shape[1], share, 1.0) @ coefficients[segment]
+            return first, second
+
+        left, right = np.array(durations[: segment + 1]), np.array(durations[segment:])
+        left[-1], right[0] = share * durations[segment], (1.0 - share) * durations[segment]
+        positions = cut(np.asarray(self.position))
+        yaws = (None, None) if self.yaw is None else cut(np.asarray(self.yaw))
+        if share >= 1.0:  # the cut falls on a knot
+            right, positions, yaws = (
+                right[1:],
+                (positions[0], positions[1][1:]),
+                (yaws[0], None if yaws[1] is None else yaws[1][1:]),
+            )
+        return (
+            PiecewisePolynomial(durations=left, position=positions[0], yaw=yaws[0]),
+            PiecewisePolynomial(durations=right, position=positions[1], yaw=yaws[1]),
+        )
+
     def _locate(self, t: Float[Array, "*t"], xp: ModuleType) -> tuple[Int[Array, "*t"], Float[Array, "*t"]]:
         ends = xp.cumsum(self.durations)
         last = xp.maximum((self.durations > 0.0).sum() - 1, 0)
@@ -110,6 +174,46 @@ class PiecewisePolynomial:
         duration = self.durations[segment]
         local = t - (ends[segment] - duration)
         return segment, xp.clip(local / xp.where(duration > 0.0, duration, 1.0), 0.0, 1.0)
+
+
+def concatenate(splines: Sequence[PiecewisePolynomial]) -> PiecewisePolynomial:
+    """One after the other, without padding; whether they join smoothly is the caller's affair (host, NumPy).
+
+    Raises InputError where there is none, or where some have yaw and some have not.
+    """
+    if not splines or len({spline.yaw is None for spline in splines}) != 1:
+        raise InputError("spline: concatenate wants at least one spline, and all of them with yaw or all without")
+    real = [np.asarray(spline.durations) > 0.0 for spline in splines]
+    pairs = list(zip(splines, real, strict=True))
+    yaws = [np.asarray(spline.yaw)[keep] for spline, keep in pairs if spline.yaw is not None]
+    return PiecewisePolynomial(
+        durations=np.concatenate([np.asarray(spline.durations)[keep] for spline, keep in pairs]),
+        position=np.concatenate([np.asarray(spline.position)[keep] for spline, keep in pairs]),
+        yaw=np.concatenate(yaws) if yaws else None,
+    )
+
+
+def _part_table(count: int, start: float, end: float) -> Float[np.ndarray, "n n"]:
+    """Map from ascending coefficients on [0, 1] to those of the part from ``start`` to ``end``, again on [0, 1]."""
+    table = np.zeros((count, count))
+    for power in range(count):
+        for k in range(power + 1):
+            table[k, power] = math.comb(power, k) * start ** (power - k) * (end - start) ** k
+    return table
+
+
+@functools.cache
+def _hull_table(count: int, derivative: int, pieces: int) -> Float[np.ndarray, "c n"]:
+    """Map from ascending coefficients to the Bernstein coefficients of a derivative on equal parts of [0, 1]."""
+    degree = count - 1 - derivative
+    slope = np.zeros((degree + 1, count))
+    bernstein = np.zeros((degree + 1, degree + 1))
+    for power in range(degree + 1):
+        slope[power, power + derivative] = math.perm(power + derivative, derivative)
+        for point in range(power, degree + 1):
+            bernstein[point, power] = math.comb(point, power) / math.comb(degree, power)
+    cuts = np.linspace(0.0, 1.0, pieces + 1)
+    return np.concatenate([bernstein @ _part_table(degree + 1, a, b) @ slope for a, b in itertools.pairwise(cuts)])
 
 
 def _namespace(*arrays: Any) -> ModuleType:
