@@ -127,12 +127,19 @@ class PiecewisePolynomial:
         Rigorous between samples: on each of ``pieces`` parts the polynomial lies in the hull of its Bernstein
         coefficients (Farouki, CAGD 29(6), 2012). The excess shrinks with pieces^-2. 1 gives speed, 2 acceleration.
         """
+        return self.bounds(derivative, pieces).max(axis=1)
+
+    def bounds(self, derivative: int, pieces: int) -> Float[Array, "m p"]:
+        """``bound`` on each of the ``pieces`` parts of each segment."""
+        points = _hull(self.position, self.durations, derivative, pieces)
+        return _namespace(self.durations).sqrt((points * points).sum(axis=-1).max(axis=-1))
+
+    def yaw_bounds(self, derivative: int, pieces: int) -> Float[Array, "m p"]:
+        """The same for the size of a derivative of yaw [rad/s^k]; 0 without yaw."""
         xp = _namespace(self.durations)
-        table = xp.asarray(_hull_table(self.position.shape[1], derivative, pieces), dtype=self.position.dtype)
-        points = xp.einsum("cn,mnd->mcd", table, self.position)
-        largest = xp.sqrt(xp.max(xp.sum(points * points, axis=-1), axis=-1))
-        real = self.durations > 0.0
-        return xp.where(real, largest / xp.where(real, self.durations, 1.0) ** derivative, 0.0)
+        if self.yaw is None:
+            return xp.zeros((self.durations.shape[0], pieces), self.durations.dtype)
+        return abs(_hull(self.yaw[..., None], self.durations, derivative, pieces)[..., 0]).max(axis=-1)
 
     def split(self, t: float) -> tuple["PiecewisePolynomial", "PiecewisePolynomial"]:
         """The parts before and behind ``t`` [s], which must lie strictly inside (host, NumPy).
@@ -200,6 +207,18 @@ def _part_table(count: int, start: float, end: float) -> Float[np.ndarray, "n n"
         for k in range(power + 1):
             table[k, power] = math.comb(power, k) * start ** (power - k) * (end - start) ** k
     return table
+
+
+def _hull(
+    coefficients: Float[Array, "m n d"], durations: Float[Array, "m"], derivative: int, pieces: int
+) -> Float[Array, "m p c d"]:
+    """Bernstein coefficients of a time derivative on equal parts of every segment; 0 on padding."""
+    xp = _namespace(coefficients)
+    table = xp.asarray(_hull_table(coefficients.shape[1], derivative, pieces), dtype=coefficients.dtype)
+    real = (durations > 0.0)[:, None, None]
+    rate = xp.where(real, 1.0 / xp.where(real, durations[:, None, None], 1.0) ** derivative, 0.0)
+    points = xp.einsum("cn,mnd->mcd", table, coefficients) * rate
+    return points.reshape(len(durations), pieces, -1, coefficients.shape[-1])
 
 
 @functools.cache

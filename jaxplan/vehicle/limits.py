@@ -1,12 +1,28 @@
 """Is a trajectory within the rotors' reach? The low-fidelity feasibility test of MFRL (no drag, no rotor lag)."""
 
+import enum
+
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Float, Int
 
-from jaxplan.spline import FlatState
+from jaxplan.numerics import in_float64
+from jaxplan.spline import FlatState, PiecewisePolynomial
+from jaxplan.vehicle.allocation import inverse_allocation_matrix
 from jaxplan.vehicle.flatness import differential_flatness
 from jaxplan.vehicle.params import Vehicle
+
+
+class Feasibility(enum.IntEnum):
+    """What is known about a trajectory and the rotors' limits."""
+
+    INFEASIBLE = -1
+    """At some instant a rotor would have to leave its range."""
+    UNDECIDED = 0
+    """All samples are inside, but the bound between them is not tight enough to vouch for the rest."""
+    FEASIBLE = 1
+    """No instant of the trajectory asks more than the rotors give."""
 
 
 def rotor_limit_margin(vehicle: Vehicle, state: FlatState) -> Float[Array, ""]:
@@ -17,3 +33,78 @@ def rotor_limit_margin(vehicle: Vehicle, state: FlatState) -> Float[Array, ""]:
     margin = jnp.min(jnp.minimum(speeds - vehicle.rotor_speed_min, vehicle.rotor_speed_max - speeds))
     finite = jnp.all(jnp.isfinite(state.derivatives)) & jnp.all(jnp.isfinite(state.yaw)) & jnp.isfinite(margin)
     return jnp.where(finite, margin, -jnp.inf)
+
+
+@in_float64
+def rotor_feasibility(vehicle: Vehicle, spline: PiecewisePolynomial, pieces: int = 64) -> Feasibility:
+    """Whether the rotors can fly ``spline``, between samples too (host; each segment is cut into ``pieces``)."""
+    return Feasibility(int(_decided(vehicle.astype(jnp.float64), jax.tree.map(jnp.asarray, spline), pieces)))
+
+
+def feasibility(vehicle: Vehicle, spline: PiecewisePolynomial, pieces: int) -> Int[Array, ""]:
+    """The traced core of ``rotor_feasibility``: its value for one spline; ``vmap`` it over more.
+
+    INFEASIBLE comes from the middles of the pieces, where flatness is evaluated exactly, FEASIBLE from
+    ``squared_speed_bounds`` of all pieces. A value that is not finite is INFEASIBLE.
+    """
+    vehicle = vehicle.astype(spline.position.dtype)
+    real = spline.durations > 0.0
+    states = _middles(spline, pieces)
+    margins = jax.vmap(jax.vmap(lambda state: rotor_limit_margin(vehicle, state)))(states)
+    inside = jnp.all(jnp.where(real[:, None], margins, 0.0) >= 0.0)
+    low, high = squared_speed_bounds(vehicle, spline, pieces)
+    within = (low >= vehicle.rotor_speed_min**2) & (high <= vehicle.rotor_speed_max**2)
+    certain = jnp.all(within | ~real[:, None, None])
+    return jnp.where(inside, jnp.where(certain, 1, 0), -1)
+
+
+def squared_speed_bounds(
+    vehicle: Vehicle, spline: PiecewisePolynomial, pieces: int
+) -> tuple[Float[Array, "m p 4"], Float[Array, "m p 4"]]:
+    """Bounds [(rad/s)^2] of what each rotor turns at, squared, anywhere on each piece of each segment.
+
+    Hull bounds of jerk j, snap s and yaw rate and acceleration bound the acceleration around the piece's middle,
+    hence thrust and tilt from both sides; the body rates and angular accelerations of ``body_rates_from`` follow term
+    by term by the triangle inequality, and the moments by Euler's equation. With c the specific thrust, z the vertical
+    component of b_z and t = sqrt(1 - z^2) that of b_x and b_y at most:
+
+        |w_xy| <= j / c,   |w_z| <= (|psi'| + t |w_xy|) / z,   |dw_xy| <= (s + 2 j |w_xy|) / c + |w_xy| |w_z|
+    """
+    vehicle = vehicle.astype(spline.position.dtype)
+    half = (0.5 * spline.durations / pieces)[:, None]
+    jerk, snap = spline.bounds(3, pieces), spline.bounds(4, pieces)
+    turn, turn_rate = spline.yaw_bounds(1, pieces), spline.yaw_bounds(2, pieces)
+    force = _middles(spline, pieces).acc + vehicle.gravity * jnp.array([0.0, 0.0, 1.0], half.dtype)
+    magnitude = jnp.sqrt(jnp.sum(force * force, axis=-1))
+    least, most = jnp.maximum(magnitude - jerk * half, 0.0), magnitude + jerk * half
+    upright = jnp.clip((force[..., 2] - jerk * half) / most, 0.0, 1.0)
+    tilt = jnp.sqrt(1.0 - upright * upright)
+    rate = jerk / least
+    spin = (turn + tilt * rate) / upright
+    acceleration = (snap + 2.0 * jerk * rate) / least + rate * spin
+    heading_rate = 2.0 * tilt * (spin * tilt + rate)
+    drift = rate * (rate + spin * tilt)
+    spin_rate = (turn_rate + heading_rate * turn + drift + tilt * acceleration) / upright
+    ix, iy, iz = vehicle.inertia
+    moments = jnp.stack(
+        [
+            ix * acceleration + jnp.abs(iz - iy) * rate * spin,
+            iy * acceleration + jnp.abs(iz - ix) * rate * spin,
+            iz * spin_rate + jnp.abs(iy - ix) * rate * rate,
+        ],
+        axis=-1,
+    )
+    mixer = inverse_allocation_matrix(vehicle)
+    spread = moments @ jnp.abs(mixer[:, :3]).T
+    lift = vehicle.mass * mixer[:, 3]
+    return least[..., None] * lift - spread, most[..., None] * lift + spread
+
+
+def _middles(spline: PiecewisePolynomial, pieces: int) -> FlatState:
+    """The flat states in the middles of the pieces (m, p); padding repeats the end."""
+    starts = jnp.cumsum(spline.durations) - spline.durations
+    shares = jnp.asarray((np.arange(pieces) + 0.5) / pieces, spline.durations.dtype)
+    return spline.state(starts[:, None] + spline.durations[:, None] * shares)
+
+
+_decided = jax.jit(feasibility, static_argnums=2)

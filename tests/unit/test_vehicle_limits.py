@@ -1,0 +1,68 @@
+"""The three answers of the feasibility check, against dense sampling."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxplan
+from jaxplan.spline import PiecewisePolynomial
+from jaxplan.vehicle.flatness import differential_flatness
+from jaxplan.vehicle.limits import Feasibility, feasibility, rotor_feasibility, squared_speed_bounds
+
+
+def trajectory(seed, pace, yaw_range=1.0):
+    rng = np.random.default_rng(seed)
+    waypoints = rng.uniform(0, 1, (5, 3)) * [10.0, 10, 2]
+    durations = pace * np.linalg.norm(np.diff(waypoints, axis=0), axis=1) / 3.0 + 0.2
+    return jaxplan.minimum_snap(waypoints, durations, yaw=yaw_range * rng.normal(size=5))
+
+
+def demanded(vehicle, spline, times):
+    with jax.enable_x64(True):
+        states = jax.tree.map(jnp.asarray, spline.state(times))
+        return np.asarray(jax.vmap(lambda s: differential_flatness(vehicle, s).rotor_speeds)(states))
+
+
+@pytest.mark.parametrize("name", ["mfrl", "flightgoggles"])
+def test_answers_agree_with_dense_sampling_and_all_occur(name):
+    vehicle, answers = jaxplan.load_vehicle(name), set()
+    for seed in range(6):
+        for pace in (0.5, 0.8, 1.0, 1.3, 2.0, 4.0):
+            spline = trajectory(seed, pace)
+            speeds = demanded(vehicle, spline, np.linspace(0.0, float(spline.duration), 3000))
+            inside = (speeds >= vehicle.rotor_speed_min).all() and (speeds <= vehicle.rotor_speed_max).all()
+            answer = rotor_feasibility(vehicle, spline)
+            answers.add(answer)
+            assert answer != Feasibility.FEASIBLE or inside
+            assert answer != Feasibility.INFEASIBLE or not inside
+    assert answers == set(Feasibility)
+
+
+def test_the_bounds_hold_everywhere_on_each_piece(x64):
+    vehicle, spline, pieces = jaxplan.load_vehicle(), trajectory(1, 1.5), 16
+    low, high = squared_speed_bounds(vehicle, jax.tree.map(jnp.asarray, spline), pieces)
+    starts = np.cumsum(spline.durations) - spline.durations
+    shares = np.linspace(0.0, 1.0, 12)
+    for piece in range(pieces):
+        times = starts[:, None] + spline.durations[:, None] * (piece + shares) / pieces
+        speeds = demanded(vehicle, spline, times.ravel()).reshape(4, 12, 4)
+        squares = np.sign(speeds) * speeds**2
+        assert (squares >= np.asarray(low)[:, piece, None] - 1e-3).all()
+        assert (squares <= np.asarray(high)[:, piece, None] + 1e-3).all()
+
+
+def test_hovering_slowly_is_feasible_and_nan_is_not():
+    vehicle = jaxplan.load_vehicle()
+    still = PiecewisePolynomial(durations=np.ones(1), position=np.zeros((1, 10, 3)))
+    assert rotor_feasibility(vehicle, still) == Feasibility.FEASIBLE
+    broken = PiecewisePolynomial(durations=np.ones(1), position=np.full((1, 10, 3), np.nan))
+    assert rotor_feasibility(vehicle, broken) == Feasibility.INFEASIBLE
+
+
+def test_a_batch_equals_a_loop(x64):
+    vehicle = jaxplan.load_vehicle()
+    splines = [trajectory(seed, pace) for seed, pace in ((0, 0.5), (1, 1.3), (2, 4.0))]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *splines)
+    codes = jax.jit(jax.vmap(lambda spline: feasibility(vehicle, spline, 64)))(stacked)
+    assert codes.tolist() == [int(rotor_feasibility(vehicle, spline)) for spline in splines]
