@@ -6,6 +6,7 @@ although one was required, 70 internal, 130 and 143 interrupted. An error is one
 
 import contextlib
 import dataclasses
+import importlib
 import os
 import signal
 import sys
@@ -13,12 +14,12 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 from cyclopts import App, CycloptsError, Parameter, Token, convert
 
 from jaxplan.config import InterceptConfig
-from jaxplan.errors import JaxplanError
+from jaxplan.errors import JaxplanError, ResourceError
 from jaxplan.versions import require_supported_jax
 
 if TYPE_CHECKING:
@@ -125,6 +126,37 @@ def world(file: str, *, padding: float = 0.5, out: str = "world.png", debug: boo
     draw_world_picture(read, Path(out), curves)
     print(f"picture   {out}")
     return 0
+
+
+@app.command
+def bench(name: Literal["minsnap", "time-allocation"], *, json: str | None = None, debug: bool = False) -> int:
+    """Measure a station against its peers, in one run on this machine.
+
+    Parameters
+    ----------
+    name
+        What to measure.
+    json
+        Where the rows are saved, with hardware, versions and commit.
+    debug
+        Show the traceback of an error.
+    """
+    require_supported_jax()
+    _benchmark(name).main([] if json is None else ["--json", json])
+    return 0
+
+
+def _benchmark(name: str) -> Any:
+    """The benchmark's module: inside an installed package, or beside the package in the source tree."""
+    module = f"bench_{name.replace('-', '_')}"
+    if (Path(__file__).parent / "_benchmarks").is_dir():
+        return importlib.import_module(f"jaxplan._benchmarks.{module}")
+    source = Path(__file__).parent.parent
+    if not (source / "benchmarks" / f"{module}.py").is_file():
+        raise ResourceError("bench: this installation has no benchmarks; install a wheel or use the source tree")
+    if str(source) not in sys.path:
+        sys.path.insert(0, str(source))
+    return importlib.import_module(f"benchmarks.{module}")
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:

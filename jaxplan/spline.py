@@ -162,7 +162,7 @@ class PiecewisePolynomial:
         left, right = np.array(durations[: segment + 1]), np.array(durations[segment:])
         left[-1], right[0] = share * durations[segment], (1.0 - share) * durations[segment]
         positions = cut(np.asarray(self.position))
-        yaws = (None, None) if self.yaw is None else cut(np.asarray(self.yaw))
+        yaws: tuple = (None, None) if self.yaw is None else cut(np.asarray(self.yaw))
         if share >= 1.0:  # the cut falls on a knot
             right, positions, yaws = (
                 right[1:],

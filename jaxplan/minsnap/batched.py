@@ -17,6 +17,9 @@ from jaxplan.minsnap.solve import Ends, cost, gradient, knot_derivatives, proble
 from jaxplan.minsnap.validity import RESIDUAL_LIMIT, SolveStatus, flag, harmless, judge, unsolved
 from jaxplan.records import record
 
+CHUNK = 512
+"""Largest number of problems solved side by side; more fall out of the cache (docs/decisions/0006-minimum-snap.md)."""
+
 
 @record
 class MinimumSnapBatch:
@@ -90,7 +93,26 @@ def _unpacked(ends: Ends, present: tuple[bool, ...], *wanted: Array) -> MinimumS
     return solve_batch(ends, *(next(values) if there else None for there in present))
 
 
-def solve_batch(
+def solve_batch(ends: Ends, *arrays: Array | None) -> MinimumSnapBatch:
+    """The traced core of ``minimum_snap_batch``, in the precision of its arguments: chunks that fit the cache."""
+    lanes = next(array for array in arrays if array is not None).shape[-1]
+    if lanes <= CHUNK:
+        return _solve_chunk(ends, *arrays)
+    chunks = -(-lanes // CHUNK)
+    size = -(-lanes // chunks)
+
+    def cut(array: Array) -> Array:
+        filled = jnp.pad(array, [(0, 0)] * (array.ndim - 1) + [(0, chunks * size - lanes)])
+        return jnp.moveaxis(filled.reshape(*array.shape[:-1], chunks, size), -2, 0)
+
+    def join(array: Array) -> Array:
+        return jnp.moveaxis(array, 0, -2).reshape(*array.shape[1:-1], chunks * size)[..., :lanes]
+
+    solved = jax.lax.map(lambda parts: _solve_chunk(ends, *parts), jax.tree.map(cut, arrays))
+    return jax.tree.map(join, solved)
+
+
+def _solve_chunk(
     ends: Ends,
     waypoints: Float[Array, "m+1 3 b"],
     durations: Float[Array, "m b"],
@@ -99,7 +121,6 @@ def solve_batch(
     yaw: Float[Array, "m+1 b"] | None,
     initial_yaw: Float[Array, "2 b"] | None,
 ) -> MinimumSnapBatch:
-    """The traced core of ``minimum_snap_batch``, in the precision of its arguments."""
     lanes, dtype = durations.shape[-1], durations.dtype
     initial = jnp.zeros((POSITION_ORDER, 3, lanes), dtype) if initial is None else initial
     given = [a for a in (initial[: ends.fixed], None if terminal is None else terminal[: ends.fixed]) if a is not None]

@@ -198,3 +198,12 @@ def test_works_in_a_process_without_64_bit_types():
 def test_shapes_that_do_not_fit_are_refused(waypoints, durations, options, said):
     with pytest.raises(InputError, match=said):
         jaxplan.minimum_snap_batch(waypoints, durations, **options)
+
+
+def test_chunks_of_a_large_batch_equal_small_batches():
+    waypoints, durations, _ = random_batch(lanes=1100, segments=3)
+    whole = jaxplan.minimum_snap_batch(waypoints, durations)
+    part = jaxplan.minimum_snap_batch(waypoints[..., 1000:], durations[:, 1000:])
+    assert whole.cost.shape == (1100,)
+    np.testing.assert_allclose(whole.cost[1000:], part.cost, rtol=1e-12)
+    np.testing.assert_allclose(whole.splines.position[..., 1000:], part.splines.position, rtol=1e-9, atol=1e-9)

@@ -1,0 +1,81 @@
+"""Timing and records shared by the benchmarks."""
+
+import json
+import os
+import platform
+import subprocess
+import time
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "minsnap-trajectories", "rotorpy")
+
+
+def timed(function: Callable[..., Any], *arguments: Any, repeats: int = 20) -> dict[str, float]:
+    """First call (with compilation) [s], then minimum and median [ms] of the following ones."""
+    began = time.perf_counter()
+    jax.block_until_ready(function(*arguments))
+    first = time.perf_counter() - began
+    times = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        jax.block_until_ready(function(*arguments))
+        times.append(1e3 * (time.perf_counter() - began))
+    return {"first_s": first, "min_ms": min(times), "median_ms": float(np.median(times))}
+
+
+def machine() -> dict[str, Any]:
+    """Hardware, versions and commit: what a number depends on."""
+    versions = {}
+    for package in PACKAGES:
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            versions[package] = None
+    return {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "load_average": os.getloadavg()[0],
+        "devices": [str(device) for device in jax.devices()],
+        "python": platform.python_version(),
+        "versions": versions,
+        "commit": _commit(),
+    }
+
+
+def write(path: Path, rows: list[dict[str, Any]]) -> None:
+    """The rows with the machine's description, as JSON."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps({"machine": machine(), "rows": rows}, indent=1) + "\n", encoding="utf-8")
+
+
+def show(rows: list[dict[str, Any]]) -> None:
+    """The rows as a table on the terminal."""
+    for row in rows:
+        print("  ".join(f"{key} {_short(value)}" for key, value in row.items()))
+
+
+def _short(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.processor())
+
+
+def _commit() -> str | None:
+    folder = Path(__file__).parent
+    try:
+        found = subprocess.run(["git", "rev-parse", "HEAD"], cwd=folder, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return found.stdout.strip()
