@@ -77,6 +77,8 @@ def peers(waypoints, repeats):
         found["rotorpy"] = _harness.timed(lambda: MinSnap(points, v_avg=3.0, verbose=False), repeats=repeats)["min_ms"]
     except ImportError:
         print("rotorpy is not installed: pip install 'jaxplan[peers]'")
+    except TypeError as error:  # what it raises where its QP solver finds no solution
+        print(f"rotorpy did not solve {waypoints} waypoints: {error}")
     return found
 
 
