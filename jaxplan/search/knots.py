@@ -25,7 +25,7 @@ class KnotConfig:
 
     distance_per_knot: float = 2.0
     """k_d,min [m]; the paper gives no value (docs/decisions/0005-knots.md)."""
-    turning_per_knot: float = 1.0
+    turning_per_knot: float = 0.25
     """k_c,min [rad]; the paper gives no value."""
     samples: int = 64
     """Points at uniform arc length that stand for a path, here and in the deviation test."""
