@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 SUFFICIENT_DECREASE = 1e-4
 """Armijo's constant (Nocedal & Wright, sec. 3.1)."""
 FIRST_INVERSE = 0.05
-"""First inverse Hessian of the logarithm of a cost in the logarithms of durations (arbitrary; the first accepted step rescales it)."""
+"""First inverse Hessian of a log cost in log durations (arbitrary; the first accepted step rescales it)."""
 LONGEST_STEP = 1.0
 """Largest change of an unknown in one step (arbitrary: a factor e in a duration)."""
 SHORTEST_STEP = 1e-8
