@@ -23,6 +23,8 @@ _HOMES = {
     "jaxplan.spline": ("FlatState", "PiecewisePolynomial", "hover"),
     "jaxplan.status": ("Note", "PlanStatus", "Reason"),
     "jaxplan.tracking.rollout": ("build_plant",),
+    "jaxplan.tracking.result": ("TrackingResult",),
+    "jaxplan.tracking.track": ("track",),
     "jaxplan.vehicle.flatness": ("differential_flatness",),
     "jaxplan.vehicle.params": ("Vehicle", "load_vehicle"),
     "jaxplan.viz.episode": ("draw_episode",),
