@@ -3,12 +3,12 @@
 One physics step of dt = 1/400 s (model of mit-aera/multicopterDynamicsSim; MuJoCo's semi-implicit Euler):
 
     rotor    w+ = w_c + (w - w_c) exp(-dt / tau)                            exact for a held command
-    body     m a = R e_z sum k_T w^2 - m g e_z - c |v| v + noise
+    body     m a = R e_z sum k_T w^2 - m g e_z - c |v - u| (v - u) + noise              u: wind
              J dW + W x J W = sum (r x k_T w^2 e_z) + e_z sum s (k_Q w^2 + J_r dw)
                               + W x e_z sum s J_r w - c_a |W| W + noise
 
 The rotors' angular momentum is -sum s J_r w e_z: it gives the reaction to dw and the gyroscopic term. Speeds within a
-step are the mean of its two ends.
+step are the mean of its two ends. A rotor's thrust loss scales its k_T and k_Q.
 """
 
 from typing import NamedTuple
@@ -19,9 +19,10 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt32
 
 from jaxplan.records import record
 from jaxplan.spline import FlatState
+from jaxplan.tracking.disturbance import Disturbance, air_velocity
 from jaxplan.tracking.filters import FilterState, filter_step
-from jaxplan.tracking.indi import Sensed
 from jaxplan.tracking.model import PHYSICS_RATE, Body, Motion, step_body
+from jaxplan.tracking.sensing import Sensed
 from jaxplan.vehicle.allocation import allocation_matrix
 from jaxplan.vehicle.flatness import differential_flatness
 from jaxplan.vehicle.params import Vehicle
@@ -46,7 +47,7 @@ class PlantState:
     rotor_speeds: Float[Array, "*batch 4"]
     """rad/s."""
     signals: FilterState
-    """Filtered measurements, (*batch 4 3); rows named in ``indi``."""
+    """Filtered measurements, (*batch 4 3); rows named in ``sensing``."""
     key: PRNGKeyArray | UInt32[Array, "*batch 2"]
     """Stream of the noise; step i uses ``fold_in(key, i)``, so how a flight is cut into calls does not matter."""
     step: Int[Array, "*batch"]
@@ -89,18 +90,30 @@ def sense(state: PlantState) -> Sensed:
 
 
 def physics_step(
-    vehicle: Vehicle, body: Body, state: PlantState, commands: Float[Array, "4"], noise: Noise
+    vehicle: Vehicle,
+    body: Body,
+    state: PlantState,
+    commands: Float[Array, "4"],
+    noise: Noise,
+    disturbance: Disturbance | None = None,
+    time: Float[Array, ""] | float = 0.0,
 ) -> PlantState:
-    """The plant 1/400 s later, under held rotor ``commands`` [rad/s, within limits]. ``vehicle`` is cast already."""
+    """The plant 1/400 s later, under held rotor ``commands`` [rad/s, within limits]. ``vehicle`` is cast already.
+
+    ``time`` [s since the reset] places the gust of the ``disturbance``; None is calm.
+    """
     speeds = commands + (state.rotor_speeds - commands) * jnp.exp(-DT / vehicle.motor_time_constant)
     mean_speeds = 0.5 * (state.rotor_speeds + speeds)
     reaction = vehicle.rotor_inertia * jnp.sum(vehicle.rotor_spin * (speeds - state.rotor_speeds)) / DT
     wrench = allocation_matrix(vehicle) @ mean_speeds**2
+    lift, air = vehicle.thrust_coefficient * mean_speeds**2, jnp.zeros_like(state.vel)
+    if disturbance is not None:
+        lift, air = lift * (1.0 - disturbance.thrust_loss), air_velocity(disturbance, jnp.asarray(time))
     motion = step_body(
         body,
         Motion(pos=state.pos, quat_wxyz=state.quat_wxyz, vel=state.vel, body_rates=state.body_rates),
-        thrusts=vehicle.thrust_coefficient * mean_speeds**2,
-        force=_body_force(vehicle, state, noise),
+        thrusts=lift,
+        force=_body_force(vehicle, state.vel - air, noise),
         moment=_body_moment(vehicle, state, mean_speeds, reaction, noise),
     )
     signals = _measured(vehicle, state, motion, wrench, reaction, noise)
@@ -121,7 +134,7 @@ def _measured(
     reaction: Float[Array, ""],
     noise: Noise,
 ) -> Float[Array, "4 3"]:
-    """What goes into the filters at the end of a step, in the rows of ``indi``."""
+    """What goes into the filters at the end of a step, in the rows of ``sensing``."""
     up = jnp.array([0.0, 0.0, 1.0], after.vel.dtype)
     # Isotropic noise is the same in body and world axes, so the turn into the body and back is left out.
     accelerometer = jnp.sqrt(vehicle.accelerometer_variance) * noise.accelerometer
@@ -147,9 +160,9 @@ def no_noise(key: PRNGKeyArray, substeps: int) -> Noise:
     return Noise(*(jnp.zeros((substeps, 3), jnp.float32) for _ in range(4)))
 
 
-def _body_force(vehicle: Vehicle, state: PlantState, noise: Noise) -> Float[Array, "3"]:
-    """Drag and process noise [N, world]."""
-    drag = -vehicle.drag_coefficient * length(state.vel) * state.vel
+def _body_force(vehicle: Vehicle, airspeed: Float[Array, "3"], noise: Noise) -> Float[Array, "3"]:
+    """Drag of the velocity through the air [m/s, world] and process noise [N, world]."""
+    drag = -vehicle.drag_coefficient * length(airspeed) * airspeed
     return drag + jnp.sqrt(vehicle.force_noise_psd / DT) * noise.force
 
 

@@ -6,16 +6,18 @@ and its errors are against row i + 1. To go on, the next call's row 0 is this ca
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from jaxplan.errors import InputError
 from jaxplan.numerics import wrap_angle
 from jaxplan.records import record, replace
 from jaxplan.spline import FlatState
-from jaxplan.tracking.indi import IndiGains, indi
+from jaxplan.tracking.disturbance import Disturbance
+from jaxplan.tracking.indi import indi
 from jaxplan.tracking.model import PHYSICS_RATE, Body, vehicle_body
 from jaxplan.tracking.plant import (
     Noise,
@@ -27,11 +29,17 @@ from jaxplan.tracking.plant import (
     state_on_reference,
 )
 from jaxplan.tracking.precision import float32_island
+from jaxplan.tracking.se3 import se3
+from jaxplan.tracking.sensing import Controller
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.rotations import rotation_from_quat
 
 CONTROL_RATE = 200
 """Control steps per second, as in the MFRL evaluation."""
+
+ControllerName = Literal["indi", "se3"]
+CONTROLLERS: dict[ControllerName, Controller] = {"indi": indi, "se3": se3}
+"""Incremental dynamic inversion (the default), and geometric control as the second choice. Gains are the vehicle's."""
 
 _SUBSTEPS = PHYSICS_RATE // CONTROL_RATE
 
@@ -66,21 +74,28 @@ class Plant(NamedTuple):
 
     reset: Callable[[FlatState, PRNGKeyArray], PlantState]
     """``reset(reference, key)``: on the reference, rotors at the speeds it demands, filters settled."""
-    fly: Callable[[PlantState, FlatState], tuple[PlantState, FlightLog]]
-    """``fly(state, references)``: n control steps along n + 1 references; one compilation for each n."""
+    fly: Callable[..., tuple[PlantState, FlightLog]]
+    """``fly(state, references, disturbance=None)``: n control steps along n + 1 references; one compilation for each n.
+
+    A ``Disturbance`` adds wind, a gust and thrust losses; None is calm.
+    """
 
 
-def build_plant(vehicle: Vehicle, *, noise: bool = True, gains: IndiGains | None = None) -> Plant:
+def build_plant(vehicle: Vehicle, *, noise: bool = True, controller: ControllerName = "indi") -> Plant:
     """The plant of ``vehicle`` (host); ``noise`` False leaves out process and sensor noise. ``vmap`` both functions."""
+    if controller not in CONTROLLERS:
+        raise InputError(f"build_plant: controller is {controller!r}, want one of {', '.join(CONTROLLERS)}")
     body = vehicle_body(vehicle)
-    chosen = IndiGains() if gains is None else gains
+    law = CONTROLLERS[controller]
     noise_of = draw_noise if noise else no_noise
 
     def reset(reference: FlatState, key: PRNGKeyArray) -> PlantState:
         return state_on_reference(vehicle.astype(jnp.float32), reference, key)
 
-    def fly(state: PlantState, references: FlatState) -> tuple[PlantState, FlightLog]:
-        return _fly(vehicle.astype(jnp.float32), body, chosen, noise_of, state, references)
+    def fly(
+        state: PlantState, references: FlatState, disturbance: Disturbance | None = None
+    ) -> tuple[PlantState, FlightLog]:
+        return _fly(vehicle.astype(jnp.float32), body, law, noise_of, state, references, disturbance)
 
     return Plant(reset=float32_island(reset), fly=float32_island(fly))
 
@@ -88,21 +103,23 @@ def build_plant(vehicle: Vehicle, *, noise: bool = True, gains: IndiGains | None
 def _fly(
     vehicle: Vehicle,
     body: Body,
-    gains: IndiGains,
+    law: Controller,
     noise_of: Callable[[PRNGKeyArray, int], Noise],
     state: PlantState,
     references: FlatState,
+    disturbance: Disturbance | None,
 ) -> tuple[PlantState, FlightLog]:
     now = jax.tree.map(lambda rows: rows[:-1], references)
     then = jax.tree.map(lambda rows: rows[1:], references)
 
     def control_step(state: PlantState, row: tuple[FlatState, FlatState]) -> tuple[PlantState, FlightLog]:
         reference, target = row
-        commands, saturated = indi(vehicle, gains, sense(state), reference)
+        commands, saturated = law(vehicle, sense(state), reference)
+        time = state.step / CONTROL_RATE  # the same for the substeps: a gust lasts longer than 5 ms
         noise = noise_of(jax.random.fold_in(state.key, state.step), _SUBSTEPS)
 
         def substep(state: PlantState, draw: Noise) -> tuple[PlantState, None]:
-            return physics_step(vehicle, body, state, commands, draw), None
+            return physics_step(vehicle, body, state, commands, draw, disturbance, time), None
 
         state, _ = jax.lax.scan(substep, state, noise)
         state = replace(state, step=state.step + 1)

@@ -18,10 +18,11 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from jaxplan.errors import InputError
 from jaxplan.spline import FlatState
 from jaxplan.tracking.batch import Splines, as_sequence, duration_of_each, padded, references_at
+from jaxplan.tracking.disturbance import SHAPES, Disturbance
 from jaxplan.tracking.plant import PlantState
 from jaxplan.tracking.precision import float32_island
 from jaxplan.tracking.result import TRAINING, Flaw, Thresholds, TrackingResult
-from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, build_plant
+from jaxplan.tracking.rollout import CONTROL_RATE, ControllerName, FlightLog, build_plant
 from jaxplan.vehicle.params import Vehicle, load_vehicle
 
 WIDTH = 128
@@ -43,6 +44,8 @@ class TrackConfig:
     """Errors from which a flight counts as infeasible."""
     noise: bool = True
     """Process and sensor noise of the vehicle."""
+    controller: ControllerName = "indi"
+    """Who follows the trajectories, with the vehicle's gains."""
     seed: int = 0
     """Seed of the noise."""
 
@@ -75,6 +78,7 @@ def track(
     config: TrackConfig | None = None,
     indices: Int[np.ndarray, "k"] | None = None,
     start: FlatState | None = None,
+    disturbance: Disturbance | None = None,
 ) -> TrackingResult:
     """Fly each trajectory in closed loop from its own start and report the errors.
 
@@ -84,10 +88,12 @@ def track(
         config: thresholds, noise and seed.
         indices: numbers of the flights' noise streams, 0 .. 2^31 - 1; their places in the list when omitted.
         start: where the vehicle is when every flight begins; on each trajectory's own start when omitted.
+        disturbance: wind, gust and thrust losses, the same for all flights or with a leading axis; calm when omitted.
 
     Raises:
         InputError: no splines; a single spline that is not finite (in a list it is infeasible instead, with its
-            reason); an index out of range; a start as far from a trajectory as the position threshold.
+            reason); an index out of range; a start as far from a trajectory as the position threshold; a disturbance
+            for another number of flights.
     """
     flights = as_sequence(splines)
     chosen = TrackConfig() if config is None else config
@@ -95,11 +101,12 @@ def track(
     numbers = _checked_indices(indices, len(durations))
     if len(durations) == 1 and not np.isfinite(durations[0]):
         raise InputError("splines: the spline has a coefficient or a duration that is not finite, want finite numbers")
-    tracker = _tracker(_Content(_default_vehicle() if vehicle is None else vehicle), chosen.noise)
+    tracker = _tracker(_Content(_default_vehicle() if vehicle is None else vehicle), chosen.noise, chosen.controller)
     flown = np.flatnonzero((durations > 0.0) & (durations <= LONGEST_FLIGHT))
     flown = flown[np.argsort(-durations[flown], kind="stable")]
+    inputs = None if disturbance is None else _for_each(disturbance, len(durations))
     parts = [
-        _fly_chunk(tracker, flights, durations, numbers, flown[i : i + LANES], chosen, start)
+        _fly_chunk(tracker, flights, durations, numbers, flown[i : i + LANES], chosen, start, inputs)
         for i in range(0, len(flown), LANES)
     ]
     return _result(durations, flown, parts, chosen.thresholds)
@@ -113,6 +120,7 @@ def _fly_chunk(
     members: Int[np.ndarray, "b"],
     config: TrackConfig,
     start: FlatState | None,
+    inputs: Disturbance | None,
 ) -> _Summary:
     """At most ``LANES`` flights to their ends; the first one fills the lanes that are over."""
     lanes = np.concatenate([members, np.repeat(members[:1], WIDTH - len(members))])
@@ -125,12 +133,13 @@ def _fly_chunk(
     if start is not None:
         _check_start(start, np.asarray(first.pos), members, config.thresholds.position)
         first = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (WIDTH, *np.shape(leaf))), start)
+    around = jax.tree.map(lambda leaf: leaf[lanes], inputs)
     state = tracker.reset(first, numbers[lanes].astype(np.int32), jax.random.key(config.seed))
     summary = _blank()
     for done in range(0, int(steps.max()), BLOCK_STEPS):
         if done:
             references = references_at(batch, done / CONTROL_RATE + times)
-        state, summary = tracker.advance(state, summary, references, (steps - done).astype(np.int32), limits)
+        state, summary = tracker.advance(state, summary, references, (steps - done).astype(np.int32), limits, around)
     host = _Summary(*(np.asarray(leaf)[: len(members)] for leaf in summary))
     share = host.saturated / steps[: len(members)]
     return host._replace(saturated=share)
@@ -195,19 +204,24 @@ class _Content:
 
 
 @functools.lru_cache(maxsize=8)
-def _tracker(content: _Content, noise: bool) -> _Tracker:
+def _tracker(content: _Content, noise: bool, controller: ControllerName) -> _Tracker:
     """The programs that fly ``WIDTH`` lanes of one vehicle; kept, since they cost seconds to compile."""
-    plant = build_plant(content.vehicle, noise=noise)
+    plant = build_plant(content.vehicle, noise=noise, controller=controller)
 
     def reset(references: FlatState, numbers: Int[Array, "b"], key: PRNGKeyArray) -> PlantState:
         keys = jax.vmap(lambda number: jax.random.fold_in(key, number))(numbers)
         return jax.vmap(plant.reset)(references, keys)
 
     def advance(
-        state: PlantState, summary: _Summary, references: FlatState, left: Int[Array, "b"], limits: Float[Array, "2"]
+        state: PlantState,
+        summary: _Summary,
+        references: FlatState,
+        left: Int[Array, "b"],
+        limits: Float[Array, "2"],
+        disturbance: Disturbance | None,
     ) -> tuple[PlantState, _Summary]:
         begun = state.step
-        state, log = jax.vmap(plant.fly)(state, references)
+        state, log = jax.vmap(plant.fly)(state, references, disturbance)
         active = jnp.arange(BLOCK_STEPS) < left[:, None]
         return state, _updated(summary, log, active, begun, limits)
 
@@ -246,6 +260,17 @@ def _checked_indices(indices: Int[np.ndarray, "k"] | None, count: int) -> Int[np
             f"indices: have shape {numbers.shape} and type {numbers.dtype}, want {count} whole numbers from 0 to 2^31-1"
         )
     return numbers
+
+
+def _for_each(disturbance: Disturbance, count: int) -> Disturbance:
+    """One row a flight."""
+
+    def rows(leaf: Float[np.ndarray, "..."], size: tuple[int, ...]) -> Float[np.ndarray, "k ..."]:
+        if np.shape(leaf) not in (size, (count, *size)):
+            raise InputError(f"disturbance: have shape {np.shape(leaf)}, want {size} or {(count, *size)}")
+        return np.broadcast_to(leaf, (count, *size))
+
+    return Disturbance(**{name: rows(getattr(disturbance, name), size) for name, size in SHAPES.items()})
 
 
 def _check_start(

@@ -15,8 +15,11 @@ from jaxtyping import ArrayLike, DTypeLike, Float
 
 from jaxplan.errors import FileError, InputError
 from jaxplan.records import record, static
+from jaxplan.vehicle.gains import IndiGains, Se3Gains
 
 _PRESETS = Path(__file__).parent / "presets"
+_GAINS = {"indi": IndiGains, "se3": Se3Gains}
+"""Optional tables of a vehicle file."""
 _SHAPES = {"inertia": (3,), "rotor_positions": (4, 3), "rotor_spin": (4,)}
 _NON_NEGATIVE = (
     "rotor_inertia",
@@ -85,6 +88,10 @@ class Vehicle:
     """m/s^2, along world -z."""
     radius: Float[ArrayLike, ""]
     """m, of the sphere about the centre of mass that stands for the vehicle in collision checks."""
+    indi: IndiGains = static(default=IndiGains())
+    """Gains of the default controller."""
+    se3: Se3Gains = static(default=Se3Gains())
+    """Gains of the geometric controller."""
 
     def __post_init__(self) -> None:
         for name in _POSITIVE:
@@ -130,13 +137,25 @@ def _read_vehicle(path: Path) -> Vehicle:
         ) from error
     except tomllib.TOMLDecodeError as error:
         raise FileError(f"The vehicle file {path} is not TOML ({error}): start from one of the presets.") from error
-    wanted = {field.name for field in dataclasses.fields(Vehicle)} - {"name"}
+    gains: dict[str, Any] = {key: _gains(path, key, table.pop(key)) for key in _GAINS if key in table}
+    wanted = {field.name for field in dataclasses.fields(Vehicle)} - {"name", *_GAINS}
     for key in sorted(wanted ^ set(table)):
         kind = "lacks the key" if key in wanted else "has the unknown key"
         raise FileError(f"The vehicle file {path} {kind} {key!r}: the keys are {', '.join(sorted(wanted))}.")
-    values = {key: _number(path, key, value) for key, value in table.items()}
+    values: dict[str, Any] = {key: _number(path, key, value) for key, value in table.items()}
     try:
-        return Vehicle(name=path.stem, **values)
+        return Vehicle(name=path.stem, **(values | gains))
+    except InputError as error:
+        raise FileError(f"The vehicle file {path} cannot be used: {error}") from error
+
+
+def _gains(path: Path, key: str, table: Any) -> IndiGains | Se3Gains:
+    """One table of gains; keys left out keep their defaults."""
+    known = {field.name for field in dataclasses.fields(_GAINS[key])}
+    if not isinstance(table, dict) or not set(table) <= known:
+        raise FileError(f"The table [{key}] in the vehicle file {path} is {table!r}: its keys are {sorted(known)}.")
+    try:
+        return _GAINS[key](**{name: tuple(v) if isinstance(v, list) else v for name, v in table.items()})
     except InputError as error:
         raise FileError(f"The vehicle file {path} cannot be used: {error}") from error
 

@@ -8,9 +8,11 @@ import pytest
 from jaxplan.errors import InputError
 from jaxplan.spline import FlatState
 from jaxplan.tracking.filters import FilterState
-from jaxplan.tracking.indi import IndiGains, Sensed, indi
+from jaxplan.tracking.indi import indi
 from jaxplan.tracking.rotor_commands import rotor_commands
+from jaxplan.tracking.sensing import Sensed
 from jaxplan.vehicle.allocation import allocation_matrix
+from jaxplan.vehicle.gains import IndiGains
 from jaxplan.vehicle.params import Vehicle, load_vehicle
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -81,7 +83,7 @@ def test_errors_of_a_hovering_vehicle_are_answered_with_the_right_sign(vehicle: 
     def wrench(pos: list[float]) -> np.ndarray:
         derivatives = jnp.zeros((5, 3)).at[0].set(jnp.array(pos))
         reference = FlatState(derivatives=derivatives, yaw=jnp.array([yaw, 0.0, 0.0]))
-        commands, _ = indi(vehicle, IndiGains(), sensed, reference)
+        commands, _ = indi(vehicle, sensed, reference)
         return made(vehicle, np.asarray(commands), np.full(4, float(speed)))
 
     rest = wrench([0.0, 0.0, 0.0])
