@@ -1,0 +1,110 @@
+"""One signature for feasibility at two fidelities: ``label(splines) -> Labels``.
+
+Low: what the trajectory itself demands of the rotors, by flatness on dense samples; no drag, no lag, no controller.
+High: a flight in closed loop. MFRL learns from many of the first and few of the second.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Literal, get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, UInt32
+
+from jaxplan.errors import InputError
+from jaxplan.minsnap.batch import SplineBatch
+from jaxplan.numerics import in_float64
+from jaxplan.records import record
+from jaxplan.spline import PiecewisePolynomial
+from jaxplan.tracking.batch import Splines, as_sequence, duration_of_each, padded
+from jaxplan.tracking.result import Flaw
+from jaxplan.tracking.track import LONGEST_FLIGHT, TrackConfig, track
+from jaxplan.vehicle.limits import rotor_limit_margin
+from jaxplan.vehicle.params import Vehicle, load_vehicle
+
+Fidelity = Literal["rotor-limits", "rollout"]
+
+SAMPLES = 256
+"""Instants of a flight at which the low fidelity looks, evenly spread, ends included (arbitrary)."""
+_CHUNK = 256
+
+
+@record
+class Labels:
+    """One entry a trajectory, in the order given; NumPy arrays."""
+
+    feasible: Bool[np.ndarray, "k"]
+    """No reason against it."""
+    reasons: UInt32[np.ndarray, "k"]
+    """Bits of ``Flaw``."""
+    margin: Float[np.ndarray, "k"]
+    """Share of what is allowed that is left, negative where infeasible; -inf where it could not be judged.
+
+    Low fidelity: of the range of rotor speeds, for the worst rotor. High: of the nearer of the two error thresholds.
+    """
+
+
+Labeller = Callable[[Splines], Labels]
+
+
+def build_labeller(
+    fidelity: Fidelity, *, vehicle: Vehicle | None = None, config: TrackConfig | None = None
+) -> Labeller:
+    """The function that labels trajectories at one fidelity (host).
+
+    ``config`` is for the rollout; the low fidelity has no thresholds, no noise and no controller.
+    """
+    if fidelity not in get_args(Fidelity):
+        raise InputError(f"build_labeller: fidelity is {fidelity!r}, want one of {', '.join(get_args(Fidelity))}")
+    flyer = load_vehicle() if vehicle is None else vehicle
+    if fidelity == "rollout":
+        chosen = TrackConfig() if config is None else config
+        return lambda splines: _from_flights(splines, flyer, chosen)
+    margins = jax.jit(lambda splines: jax.vmap(lambda spline: _rotor_margin(flyer, spline))(splines))
+    return lambda splines: _from_demands(splines, flyer, margins)
+
+
+def _from_flights(splines: Splines, vehicle: Vehicle, config: TrackConfig) -> Labels:
+    result = track(splines, vehicle=vehicle, config=config)
+    used = np.maximum(
+        result.max_position_error / config.thresholds.position, result.max_yaw_error / config.thresholds.yaw
+    )
+    return Labels(feasible=result.feasible, reasons=result.reasons, margin=1.0 - used)
+
+
+@in_float64
+def _from_demands(
+    splines: Splines, vehicle: Vehicle, margins: Callable[[PiecewisePolynomial], Float[Array, "b"]]
+) -> Labels:
+    flights = as_sequence(splines)
+    durations = duration_of_each(flights)
+    finite = np.isfinite(durations)
+    in_time = finite & (durations > 0.0) & (durations <= LONGEST_FLIGHT)
+    margin = np.full(len(durations), -np.inf)
+    members = np.flatnonzero(in_time)
+    for begin in range(0, len(members), _CHUNK):
+        chunk = members[begin : begin + _CHUNK]
+        margin[chunk] = _chunk_margins(flights, chunk, margins)
+    reasons = (
+        np.where(finite, 0, int(Flaw.NONFINITE))
+        | np.where(finite & ~in_time, int(Flaw.DURATION), 0)
+        | np.where(in_time & ~(margin >= 0.0), int(Flaw.ROTORS), 0)
+    ).astype(np.uint32)
+    scale = float(vehicle.rotor_speed_max) - float(vehicle.rotor_speed_min)
+    return Labels(feasible=reasons == 0, reasons=reasons, margin=margin / scale)
+
+
+def _chunk_margins(
+    flights: Sequence[PiecewisePolynomial] | SplineBatch,
+    chunk: np.ndarray,
+    margins: Callable[[PiecewisePolynomial], Float[Array, "b"]],
+) -> Float[np.ndarray, "b"]:
+    lanes = np.concatenate([chunk, np.repeat(chunk[:1], _CHUNK - len(chunk))])
+    return np.asarray(margins(padded(flights, lanes)))[: len(chunk)]
+
+
+def _rotor_margin(vehicle: Vehicle, spline: PiecewisePolynomial) -> Float[Array, ""]:
+    """The least distance [rad/s] from a rotor limit over ``SAMPLES`` instants; -inf where a state is not finite."""
+    states = spline.state(jnp.linspace(0.0, 1.0, SAMPLES) * spline.duration)
+    return jnp.min(jax.vmap(lambda state: rotor_limit_margin(vehicle, state))(states))
