@@ -5,7 +5,7 @@ Drag, noise and the rotors' own inertia are not in the model: ``plant.py`` appli
 
 import contextlib
 import io
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,10 @@ with contextlib.redirect_stdout(io.StringIO()):
 
 PHYSICS_RATE = 400
 """Physics steps per second, as in the MFRL evaluation."""
+
+
+Integrator = Literal["Euler", "RK4"]
+"""Semi-implicit Euler, first order, is what flights use; RK4 costs 4 times as much (docs/decisions/0008-plant.md)."""
 
 
 class Body(NamedTuple):
@@ -39,7 +43,7 @@ class Motion(NamedTuple):
     body_rates: Float[Array, "3"]
 
 
-def vehicle_mjcf(vehicle: Vehicle) -> str:
+def vehicle_mjcf(vehicle: Vehicle, integrator: Integrator = "Euler") -> str:
     """MJCF text: actuator i takes the thrust [N] of rotor i, and its gear adds the reaction torque about body z."""
     torque_per_thrust = np.asarray(vehicle.rotor_spin) * vehicle.torque_coefficient / vehicle.thrust_coefficient
     sites = [f'<site name="rotor{i}" pos="{_numbers(pos)}"/>' for i, pos in enumerate(vehicle.rotor_positions)]
@@ -48,7 +52,7 @@ def vehicle_mjcf(vehicle: Vehicle) -> str:
         for i, arm in enumerate(torque_per_thrust)
     ]
     return f"""<mujoco model="vehicle">
-  <option timestep="{1.0 / PHYSICS_RATE!r}" gravity="0 0 {-float(vehicle.gravity)!r}" integrator="Euler">
+  <option timestep="{1.0 / PHYSICS_RATE!r}" gravity="0 0 {-float(vehicle.gravity)!r}" integrator="{integrator}">
     <flag contact="disable" constraint="disable" eulerdamp="disable"/>
   </option>
   <worldbody>
@@ -63,10 +67,10 @@ def vehicle_mjcf(vehicle: Vehicle) -> str:
 """
 
 
-def vehicle_body(vehicle: Vehicle) -> Body:
-    """The compiled model and a blank state of it, in float32."""
-    model = mujoco.MjModel.from_xml_string(vehicle_mjcf(vehicle))
-    with jax.enable_x64(False):
+def vehicle_body(vehicle: Vehicle, *, integrator: Integrator = "Euler", float64: bool = False) -> Body:
+    """The compiled model and a blank state of it, in float32; in float64 only for comparisons in a 64-bit scope."""
+    model = mujoco.MjModel.from_xml_string(vehicle_mjcf(vehicle, integrator))
+    with jax.enable_x64(float64):
         return Body(mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax"))
 
 
