@@ -101,6 +101,7 @@ class Vehicle:
         _require(self, "rotor_spin", "+1 or -1", lambda value: np.abs(value) == 1.0)
         _require(self, "rotor_speed_max", "> rotor_speed_min", lambda value: value > self.rotor_speed_min)
         _check_layout(self)
+        _check_hover(self)
 
     def astype(self, dtype: DTypeLike) -> "Vehicle":
         """The same vehicle with JAX arrays of ``dtype``, for arithmetic under strict type promotion."""
@@ -187,6 +188,12 @@ def _check_layout(vehicle: Vehicle) -> None:
     _require(vehicle, "rotor_positions", "(any sign)", np.isfinite)
     positions = np.asarray(vehicle.rotor_positions, dtype=np.float64)
     rows = np.stack([positions[:, 1], -positions[:, 0], np.asarray(vehicle.rotor_spin), np.ones(4)])
+    rank = int(np.linalg.matrix_rank(rows))
+    if rank < 4:
+        raise InputError(
+            f"The mixer of vehicle {vehicle.name!r} has rank {rank} (positions {positions.tolist()}, spins "
+            f"{np.asarray(vehicle.rotor_spin).tolist()}): want 4, so that roll, pitch, yaw and thrust are independent."
+        )
     lengths = np.linalg.norm(rows, axis=1)
     gram = rows @ rows.T
     if not np.all(lengths > 0.0) or np.any(np.abs(gram - np.diag(np.diag(gram))) > 1e-9 * np.outer(lengths, lengths)):
@@ -194,4 +201,13 @@ def _check_layout(vehicle: Vehicle) -> None:
             f"The rotors of vehicle {vehicle.name!r} are not symmetric about the centre of mass (positions "
             f"{positions.tolist()}, spins {np.asarray(vehicle.rotor_spin).tolist()}): "
             "want an X or H layout with opposite rotors of equal spin."
+        )
+
+
+def _check_hover(vehicle: Vehicle) -> None:
+    hover = float(np.sqrt(vehicle.mass * vehicle.gravity / (4.0 * vehicle.thrust_coefficient)))
+    if not vehicle.rotor_speed_max > hover:
+        raise InputError(
+            f"rotor_speed_max of vehicle {vehicle.name!r} is {float(vehicle.rotor_speed_max):.0f} rad/s, but hovering "
+            f"takes {hover:.0f} rad/s: want more than that."
         )

@@ -78,8 +78,11 @@ def test_missing_file_is_named(tmp_path: Path) -> None:
         ("mass = 0.771", "mass = ", "not TOML"),
         ("inertia = [0.004, 0.004, 0.006]", "inertia = [0.004, 0.004]", "'inertia'"),
         ("inertia = [0.004, 0.004, 0.006]", "inertia = [[0.004], [0.004, 1.0]]", "'inertia'"),
-        ("rotor_spin = [1.0, -1.0, 1.0, -1.0]", "rotor_spin = [1.0, 1.0, -1.0, -1.0]", "symmetric"),
+        ("rotor_spin = [1.0, -1.0, 1.0, -1.0]", "rotor_spin = [1.0, 1.0, -1.0, -1.0]", "rank 3"),
+        ("[0.08, 0.08, 0.0],", "[0.09, 0.08, 0.0],", "symmetric"),
         ("rotor_speed_min = 0.0", "rotor_speed_min = 3000.0", "rotor_speed_max"),
+        ("rotor_speed_max = 2200.0", "rotor_speed_max = 1000.0", "hovering takes 1080 rad/s"),
+        ("inertia = [0.004, 0.004, 0.006]", "inertia = [0.004, -0.004, 0.006]", "inertia"),
     ],
 )
 def test_bad_files_name_the_key(tmp_path: Path, old: str, new: str, said: str) -> None:
