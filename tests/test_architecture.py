@@ -43,7 +43,7 @@ TYPES_ONLY = {
 """Imports within one layer that are allowed under ``if TYPE_CHECKING``."""
 
 OWNERS = {
-    "mujoco": ("jaxplan/tracking/", "jaxplan/world/scene.py", "jaxplan/world/mjcf.py", "jaxplan/viz/"),
+    "mujoco": ("jaxplan/tracking/", "benchmarks/", "jaxplan/world/scene.py", "jaxplan/world/mjcf.py", "jaxplan/viz/"),
     "flax": ("jaxplan/policy/",),
     "optax": ("jaxplan/policy/",),
     "sklearn": ("jaxplan/prediction/gmm.py",),

@@ -1,0 +1,116 @@
+"""Closed-loop flights per second against batch size, beside C MuJoCo's threads and rotorpy.
+
+    python -m benchmarks.bench_plant --batches 32 256 1024 --seconds 5
+
+A flight is what ``jaxplan.track`` does with a spline: INDI at 200 Hz, physics at 400 Hz, rotor lag, drag and noise,
+splines sampled in float64, errors judged. The peers do less: MuJoCo's threads step the same rigid body in C under held
+thrusts, without rotors, drag, noise or controller; rotorpy flies its own SE(3) controller, one flight at a time.
+"""
+
+import argparse
+import json
+import os
+import platform
+import time
+from pathlib import Path
+
+import jax
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from jaxplan.minsnap.problem import minimum_snap
+from jaxplan.tracking.model import PHYSICS_RATE, vehicle_mjcf
+from jaxplan.tracking.track import TrackConfig, track
+from jaxplan.vehicle.params import load_vehicle
+
+
+def splines_of(count, seconds, rng):
+    """Random rest-to-rest trajectories through four waypoints, ``seconds`` long."""
+    chains = np.cumsum(rng.uniform(-2.0, 2.0, (min(count, 64), 4, 3)), axis=1)
+    steps = np.linalg.norm(np.diff(chains, axis=1), axis=2)
+    durations = seconds * steps / steps.sum(axis=1, keepdims=True)
+    some = [minimum_snap(chain, duration) for chain, duration in zip(chains, durations, strict=True)]
+    return [some[i % len(some)] for i in range(count)]
+
+
+def flights(batch, seconds, controller, repeats):
+    """Best of ``repeats`` runs of ``track``."""
+    splines = splines_of(batch, seconds, np.random.default_rng(0))
+    config = TrackConfig(controller=controller)
+    times = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        result = track(splines, config=config)
+        times.append(time.perf_counter() - began)
+    rate = batch / min(times)
+    return {"method": f"track, {controller}", "batch": batch, "flights_per_s": rate, "feasible": result.feasible.mean()}
+
+
+def c_mujoco(batch, seconds, threads):
+    """The rigid body alone, in C, open loop."""
+    vehicle = load_vehicle()
+    model = mujoco.MjModel.from_xml_string(vehicle_mjcf(vehicle))
+    datas = [mujoco.MjData(model) for _ in range(threads)]
+    size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    state = np.zeros(size)
+    mujoco.mj_getState(model, datas[0], state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    steps = round(seconds * PHYSICS_RATE)
+    control = np.full((batch, steps, 4), vehicle.mass * vehicle.gravity / 4)
+    with rollout.Rollout(nthread=threads) as pool:
+        began = time.perf_counter()
+        pool.rollout(model, datas, np.tile(state, (batch, 1)), control)
+        rate = batch / (time.perf_counter() - began)
+    return {"method": f"C MuJoCo, body only, {threads} threads", "batch": batch, "flights_per_s": rate}
+
+
+def rotorpy(count, seconds):
+    """rotorpy's vehicle and SE(3) controller; None without the extra ``peers``."""
+    try:
+        from benchmarks.peer_rotorpy import fly
+
+        splines = splines_of(count, seconds, np.random.default_rng(0))
+        began = time.perf_counter()
+        for spline in splines:
+            fly(load_vehicle(), spline)
+        rate = count / (time.perf_counter() - began)
+    except ImportError:
+        rate = None
+    return {"method": "rotorpy, SE(3)", "batch": 1, "flights_per_s": rate}
+
+
+def main(argv=None):
+    """Measure, print and write ``--out``."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--batches", type=int, nargs="+", default=[32, 256, 1024])
+    parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--peers", type=int, default=2, help="flights of rotorpy; 0 leaves it out")
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results/plant.json"))
+    options = parser.parse_args(argv)
+    threads = os.cpu_count() or 1
+    compiling = {}
+    for controller in ("indi", "se3"):
+        began = time.perf_counter()
+        track(splines_of(1, 0.2, np.random.default_rng(0)), config=TrackConfig(controller=controller))
+        compiling[controller] = time.perf_counter() - began
+    rows = []
+    for batch in options.batches:
+        rows.append(flights(batch, options.seconds, "indi", options.repeats))
+        rows.append(c_mujoco(batch, options.seconds, threads))
+    rows.append(flights(options.batches[-1], options.seconds, "se3", 1))
+    if options.peers:
+        rows.append(rotorpy(options.peers, options.seconds))
+    for row in rows:
+        rate = "-" if row["flights_per_s"] is None else f"{row['flights_per_s']:8.1f}"
+        print(f"{row['method']:36} batch {row['batch']:5}  {rate} flights of {options.seconds:g} s per second")
+    print(f"first call, with compilation: {compiling['indi']:.1f} s")
+    machine = {"processor": platform.processor() or platform.machine(), "cores": threads, "load": os.getloadavg()[0]}
+    report = {"machine": machine, "jax": jax.__version__, "seconds": options.seconds, "first_call_s": compiling}
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(json.dumps(report | {"rows": rows}, indent=1, default=float) + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
