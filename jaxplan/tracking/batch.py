@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from jaxplan.errors import InputError
 from jaxplan.minsnap.batch import SplineBatch
 from jaxplan.numerics import in_float64
+from jaxplan.records import replace
 from jaxplan.spline import FlatState, PiecewisePolynomial
 
 Splines = PiecewisePolynomial | Sequence[PiecewisePolynomial] | SplineBatch
@@ -24,7 +25,7 @@ _LEAST_SEGMENTS = 4
 
 
 def as_sequence(splines: Splines) -> Sequence[PiecewisePolynomial] | SplineBatch:
-    """A list or a batch, neither empty; ``InputError`` for anything else."""
+    """A list or a batch, neither empty; ``InputError`` for anything else. Splines without yaw keep the heading 0."""
     found = [splines] if isinstance(splines, PiecewisePolynomial) else splines
     if isinstance(found, SplineBatch):
         return found
@@ -33,7 +34,13 @@ def as_sequence(splines: Splines) -> Sequence[PiecewisePolynomial] | SplineBatch
             f"splines: have {type(splines).__name__}, want a PiecewisePolynomial, a list of at least one of them, or "
             "the splines of Plans"
         )
-    return found
+    return [_with_yaw(spline) for spline in found]
+
+
+def _with_yaw(spline: PiecewisePolynomial) -> PiecewisePolynomial:
+    if spline.yaw is not None:
+        return spline
+    return replace(spline, yaw=np.zeros((len(spline.durations), 6)))
 
 
 def duration_of_each(splines: Sequence[PiecewisePolynomial] | SplineBatch) -> Float[np.ndarray, "k"]:
@@ -46,7 +53,7 @@ def duration_of_each(splines: Sequence[PiecewisePolynomial] | SplineBatch) -> Fl
     values = np.full(len(splines), np.nan)
     for index, spline in enumerate(splines):
         durations = np.asarray(spline.durations, dtype=np.float64)
-        finite = np.all(np.isfinite(spline.position)) and np.all(np.isfinite(spline.yaw))
+        finite = np.all(np.isfinite(spline.position)) and np.all(np.isfinite(np.asarray(spline.yaw)))
         if finite and np.all(durations >= 0.0):
             values[index] = durations.sum()
     return values

@@ -73,6 +73,13 @@ def test_order_batch_size_and_neighbours_change_nothing(
     assert compilations.count <= 1  # reading the keys back; no new program flies
 
 
+def test_splines_without_yaw_keep_the_heading_zero(splines: list[PiecewisePolynomial]) -> None:
+    bare = replace(splines[0], yaw=None)
+    level = replace(splines[0], yaw=np.zeros_like(splines[0].yaw))
+    found, expected = track([bare], seed=1), track([level], seed=1)
+    np.testing.assert_array_equal(found.max_position_error, expected.max_position_error)
+
+
 def test_the_seed_matters_and_noise_can_be_left_out(splines: list[PiecewisePolynomial]) -> None:
     some = splines[:3]
     other = track(some, config=TrackConfig(seed=1))
