@@ -27,8 +27,10 @@ def parameters(vehicle):
         "rotor_speed_max": vehicle.rotor_speed_max,
         "k_w": 1.0,
         "k_v": 10.0,
-        "kp_att": 150.0,  # as our own SE(3) gains: rotorpy's 310 and 57 are for faster rotors
-        "kd_att": 18.0,
+        # rotorpy's 310 and 57 are for every axis; yaw has little authority here, and without feed-forward of the rates
+        # the attitude lags by kd / kp, so it has to be stiff. Chosen by hand.
+        "kp_att": np.array([600.0, 600.0, 15.0]),
+        "kd_att": np.array([35.0, 35.0, 7.0]),
         **inertia,
         **drag,
         **zeros,
