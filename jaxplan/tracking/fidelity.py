@@ -10,7 +10,7 @@ from typing import Literal, get_args
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, UInt32
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from jaxplan.errors import InputError
 from jaxplan.minsnap.batch import SplineBatch
@@ -20,13 +20,16 @@ from jaxplan.spline import PiecewisePolynomial
 from jaxplan.tracking.batch import Splines, as_sequence, duration_of_each, padded
 from jaxplan.tracking.result import Flaw
 from jaxplan.tracking.track import LONGEST_FLIGHT, TrackConfig, track
-from jaxplan.vehicle.limits import rotor_limit_margin
+from jaxplan.vehicle.limits import Feasibility, rotor_limit_margin
+from jaxplan.vehicle.limits import feasibility as rotor_verdict
 from jaxplan.vehicle.params import Vehicle, load_vehicle
 
 Fidelity = Literal["rotor-limits", "rollout"]
 
 SAMPLES = 256
 """Instants of a flight at which the low fidelity looks, evenly spread, ends included (arbitrary)."""
+PIECES = 64
+"""Parts of a segment over which the rotors' demand is bounded (as ``vehicle.limits``)."""
 _CHUNK = 256
 
 
@@ -43,9 +46,12 @@ class Labels:
 
     Low fidelity: of the range of rotor speeds, for the worst rotor. High: of the nearer of the two error thresholds.
     """
+    decided: Bool[np.ndarray, "k"]
+    """False where the low fidelity saw no violation but its bounds between the samples do not rule one out."""
 
 
 Labeller = Callable[[Splines], Labels]
+_Margins = Callable[[PiecewisePolynomial], tuple[Float[Array, "b"], Int[Array, "b"]]]
 
 
 def build_labeller(
@@ -61,7 +67,11 @@ def build_labeller(
     if fidelity == "rollout":
         chosen = TrackConfig() if config is None else config
         return lambda splines: _from_flights(splines, flyer, chosen)
-    margins = jax.jit(lambda splines: jax.vmap(lambda spline: _rotor_margin(flyer, spline))(splines))
+
+    def judge(spline: PiecewisePolynomial) -> tuple[Float[Array, ""], Int[Array, ""]]:
+        return _rotor_margin(flyer, spline), rotor_verdict(flyer, spline, PIECES)
+
+    margins = jax.jit(jax.vmap(judge))
     return lambda splines: _from_demands(splines, flyer, margins)
 
 
@@ -70,38 +80,38 @@ def _from_flights(splines: Splines, vehicle: Vehicle, config: TrackConfig) -> La
     used = np.maximum(
         result.max_position_error / config.thresholds.position, result.max_yaw_error / config.thresholds.yaw
     )
-    return Labels(feasible=result.feasible, reasons=result.reasons, margin=1.0 - used)
+    return Labels(feasible=result.feasible, reasons=result.reasons, margin=1.0 - used, decided=used >= 0.0)
 
 
 @in_float64
-def _from_demands(
-    splines: Splines, vehicle: Vehicle, margins: Callable[[PiecewisePolynomial], Float[Array, "b"]]
-) -> Labels:
+def _from_demands(splines: Splines, vehicle: Vehicle, margins: _Margins) -> Labels:
     flights = as_sequence(splines)
     durations = duration_of_each(flights)
     finite = np.isfinite(durations)
     in_time = finite & (durations > 0.0) & (durations <= LONGEST_FLIGHT)
-    margin = np.full(len(durations), -np.inf)
+    margin, decided = np.full(len(durations), -np.inf), np.ones(len(durations), bool)
     members = np.flatnonzero(in_time)
     for begin in range(0, len(members), _CHUNK):
         chunk = members[begin : begin + _CHUNK]
-        margin[chunk] = _chunk_margins(flights, chunk, margins)
+        margin[chunk], verdicts = _chunk_margins(flights, chunk, margins)
+        decided[chunk] = (verdicts != Feasibility.UNDECIDED) | ~(margin[chunk] >= 0.0)
     reasons = (
         np.where(finite, 0, int(Flaw.NONFINITE))
         | np.where(finite & ~in_time, int(Flaw.DURATION), 0)
         | np.where(in_time & ~(margin >= 0.0), int(Flaw.ROTORS), 0)
     ).astype(np.uint32)
     scale = float(vehicle.rotor_speed_max) - float(vehicle.rotor_speed_min)
-    return Labels(feasible=reasons == 0, reasons=reasons, margin=margin / scale)
+    return Labels(feasible=reasons == 0, reasons=reasons, margin=margin / scale, decided=decided)
 
 
 def _chunk_margins(
     flights: Sequence[PiecewisePolynomial] | SplineBatch,
     chunk: np.ndarray,
-    margins: Callable[[PiecewisePolynomial], Float[Array, "b"]],
-) -> Float[np.ndarray, "b"]:
+    margins: _Margins,
+) -> tuple[Float[np.ndarray, "b"], Int[np.ndarray, "b"]]:
     lanes = np.concatenate([chunk, np.repeat(chunk[:1], _CHUNK - len(chunk))])
-    return np.asarray(margins(padded(flights, lanes)))[: len(chunk)]
+    margin, verdicts = margins(padded(flights, lanes))
+    return np.asarray(margin)[: len(chunk)], np.asarray(verdicts)[: len(chunk)]
 
 
 def _rotor_margin(vehicle: Vehicle, spline: PiecewisePolynomial) -> Float[Array, ""]:

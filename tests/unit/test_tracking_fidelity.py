@@ -44,7 +44,11 @@ def test_both_fidelities_take_the_same_input_and_mostly_agree() -> None:
     np.testing.assert_array_equal(high.feasible, high.margin > 0.0)
     assert np.mean(low.feasible == high.feasible) > 0.6
     slow = [spline.dilate(4.0) for spline in splines[:20]]
-    assert np.all(build_labeller("rotor-limits")(slow).feasible)
+    slowed = build_labeller("rotor-limits")(slow)
+    assert np.all(slowed.feasible)
+    assert np.any(slowed.decided)
+    assert np.all(low.decided[~low.feasible])
+    assert np.all(high.decided)
 
 
 def test_an_unknown_fidelity_is_refused() -> None:
