@@ -48,7 +48,7 @@ OWNERS = {
     "optax": ("jaxplan/policy/",),
     "sklearn": ("jaxplan/prediction/gmm.py",),
     "numba": ("jaxplan/search/",),
-    "cyclopts": ("jaxplan/cli.py", "experiments/"),
+    "cyclopts": ("jaxplan/cli/", "experiments/"),
     "matplotlib": ("jaxplan/viz/",),
     "viser": ("jaxplan/viz/",),
     "dask": ("experiments/",),

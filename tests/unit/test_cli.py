@@ -16,6 +16,7 @@ import pytest
 from test_viz_episode import made_up_episode
 
 from jaxplan import cli
+from jaxplan.cli.intercept import summary
 from jaxplan.config import InterceptConfig
 from jaxplan.errors import FileError, InputError, InternalError, ResourceError, UnsupportedVersion
 from jaxplan.io.target_log import read_target_log
@@ -196,7 +197,7 @@ def test_help_names_every_option(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_the_table_shows_what_is_missing_as_a_dash() -> None:
-    lines = cli.summary(made_up_metrics(success=False)).splitlines()
+    lines = summary(made_up_metrics(success=False)).splitlines()
     assert lines[1].split() == ["time", "to", "intercept", "-", "s"]
 
 

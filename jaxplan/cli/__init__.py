@@ -1,0 +1,93 @@
+"""The ``jaxplan`` command.
+
+Exit codes: 0 a valid run whatever its outcome, 2 usage, 10 bad input, 11 bad file, 12 resource, 13 no interception
+although one was required, 70 internal, 130 and 143 interrupted. An error is one line on stderr.
+"""
+
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Sequence
+from importlib import metadata
+from typing import Any, NoReturn
+
+from cyclopts import App, CycloptsError, Parameter, Token, convert
+
+from jaxplan.cli.bench import bench
+from jaxplan.cli.intercept import intercept
+from jaxplan.cli.world import world
+from jaxplan.errors import JaxplanError
+
+EXIT_USAGE = 2
+EXIT_INTERNAL = 70
+EXIT_INTERRUPTED = 130
+EXIT_TERMINATED = 143
+EXIT_PIPE_CLOSED = 141
+
+
+def _convert(kind: Any, tokens: Sequence[Token]) -> Any:
+    """What cyclopts does, except that 1.5 is not rounded to a whole number."""
+    if kind is int:
+        return int(tokens[0].value)
+    return convert(kind, tokens)
+
+
+app = App(
+    name="jaxplan",
+    help="Plan and fly interceptions of a moving target by a quadrotor, among obstacles.",
+    version=lambda: metadata.version("jaxplan"),
+    default_parameter=Parameter(negative=(), converter=_convert),
+    suppress_keyboard_interrupt=False,
+)
+for command in (intercept, world, bench):
+    app.command(command)
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line and leave the process with its exit code."""
+    sys.exit(run(sys.argv[1:] if arguments is None else arguments))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run the command line; every failure becomes one line on stderr and an exit code."""
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        code = app(list(arguments), exit_on_error=False, print_error=False, result_action="return_value")
+        sys.stdout.flush()
+        return code if isinstance(code, int) else 0
+    except CycloptsError as error:
+        cause = _library_error(error)
+        if cause is not None:
+            return _report(str(cause), cause.exit_code, arguments)
+        return _report(f"{str(error).rstrip('.')}; see: jaxplan intercept --help", EXIT_USAGE, arguments)
+    except JaxplanError as error:
+        return _report(str(error), error.exit_code, arguments)
+    except KeyboardInterrupt:
+        return _report("interrupted", EXIT_INTERRUPTED, arguments)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_PIPE_CLOSED
+    except Exception as error:
+        text = f"internal error: {type(error).__name__}: {error}; please report it with the output of --debug"
+        return _report(text, EXIT_INTERNAL, arguments)
+
+
+def _library_error(error: BaseException) -> JaxplanError | None:
+    """The error of this library that the argument parser wrapped, if any."""
+    cause: BaseException | None = error
+    while cause is not None and not isinstance(cause, JaxplanError):
+        cause = cause.__cause__ or cause.__context__
+    return cause
+
+
+def _report(text: str, code: int, arguments: Sequence[str]) -> int:
+    if "--debug" in arguments:
+        traceback.print_exc()
+    print(f"jaxplan: {' '.join(text.split())}", file=sys.stderr)
+    return code
+
+
+def _terminate(signum: int, frame: object) -> NoReturn:
+    """Leave through the context managers, so that nothing half-written stays."""
+    raise SystemExit(EXIT_TERMINATED)

@@ -1,0 +1,114 @@
+"""``jaxplan intercept``: one closed-loop episode, its files and its table."""
+
+import contextlib
+import dataclasses
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from jaxplan.config import InterceptConfig
+from jaxplan.versions import require_supported_jax
+
+if TYPE_CHECKING:
+    from jaxplan.interception import Episode
+    from jaxplan.io.output import OutputFolder
+
+EXIT_NOT_INTERCEPTED = 13
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the share of the longest possible episode that is over."""
+
+
+def intercept(
+    config: Annotated[InterceptConfig | None, Parameter(name="*")] = None,
+    *,
+    require_success: bool = False,
+    debug: bool = False,
+) -> int:
+    """Fly one closed-loop interception and write its numbers, trajectories, plans and picture.
+
+    Parameters
+    ----------
+    require_success
+        Return exit code 13 unless the target was intercepted.
+    debug
+        Show the traceback of an error.
+    """
+    config = config or InterceptConfig()
+    require_supported_jax()
+    from jaxplan import interception
+    from jaxplan.io.output import OutputFolder
+    from jaxplan.metrics import episode_metrics
+
+    with OutputFolder(config.out) as folder:
+        with _progress_bar() as progress:
+            episode = interception.run(config, progress=progress)
+        metrics = episode_metrics(episode)
+        write_results(folder, config, episode, metrics)
+        folder.publish()
+    for warning in metrics["target"]["warnings"]:
+        print(f"jaxplan: warning: target: {warning}", file=sys.stderr)
+    print(summary(metrics))
+    print(f"results in {config.out}: {', '.join(sorted(path.name for path in Path(config.out).iterdir()))}")
+    return EXIT_NOT_INTERCEPTED if require_success and not episode.success else 0
+
+
+def write_results(folder: "OutputFolder", config: InterceptConfig, episode: "Episode", metrics: dict[str, Any]) -> None:
+    """Stage all files of one episode; metrics.json is the last, so its presence vouches for the others."""
+    import numpy as np
+
+    from jaxplan.io.files import write_json, write_tum
+    from jaxplan.io.plans import write_plans
+    from jaxplan.viz.episode import draw_episode
+
+    flight = episode.flight
+    times = flight.times
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(times), 1))  # a target's attitude is not modelled
+    folder.write("config.json", lambda path: write_json(path, dataclasses.asdict(config)))
+    folder.write("flown.csv", lambda path: write_tum(path, times, flight.position, flight.quat_wxyz))
+    folder.write("target.csv", lambda path: write_tum(path, times, flight.target, upright))
+    folder.write("plans.npz", lambda path: write_plans(path, episode.plans))
+    folder.write("episode.png", lambda path: draw_episode(episode, metrics, path))
+    folder.write("metrics.json", lambda path: write_json(path, metrics))
+
+
+def summary(metrics: dict[str, Any]) -> str:
+    """A short table of one episode's numbers."""
+    rows = [
+        ("outcome", metrics["outcome"], ""),
+        ("time to intercept", _number(metrics["time_to_intercept_s"]), "s"),
+        ("smallest distance", _number(metrics["min_distance_m"]), "m"),
+        ("largest position error", _number(metrics["max_position_error_m"]), "m"),
+        ("largest yaw error", _number(metrics["max_yaw_error_deg"]), "deg"),
+        ("smallest clearance", _number(metrics["min_clearance_m"]), "m"),
+        ("replans", metrics["replans"], ""),
+    ]
+    for stage, quantiles in metrics["replan_ms"].items():
+        if isinstance(quantiles, dict) and "p50" in quantiles:
+            values = f"{_number(quantiles['p50'], 1)} / {_number(quantiles['p99'], 1)}"
+            rows.append((f"replan {stage}, p50 / p99", values, "ms"))
+    widths = [max(len(str(row[column])) for row in rows) for column in range(2)]
+    return "\n".join(f"{name:<{widths[0]}}  {value!s:>{widths[1]}} {unit}".rstrip() for name, value, unit in rows)
+
+
+def _number(value: float | None, digits: int = 3) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+@contextlib.contextmanager
+def _progress_bar() -> Iterator[Progress]:
+    """A bar on stderr, where that is a terminal."""
+    from tqdm import tqdm
+
+    layout = "{desc} {bar} {elapsed}"
+    with tqdm(desc="loading", total=1.0, file=sys.stderr, disable=None, leave=False, bar_format=layout) as bar:
+
+        def progress(text: str, share: float) -> None:
+            bar.set_description_str(text, refresh=False)
+            bar.n = min(share, 1.0)
+            bar.refresh()
+
+        yield progress
