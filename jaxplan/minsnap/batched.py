@@ -13,12 +13,9 @@ from jaxplan.errors import InputError
 from jaxplan.minsnap.batch import SplineBatch
 from jaxplan.minsnap.precision import in_float64_inside, is_numpy
 from jaxplan.minsnap.problem import POSITION_ORDER, YAW_ORDER, Terminal, ends_of, interpolate, yaw_ends
-from jaxplan.minsnap.solve import Ends, cost, gradient, knot_derivatives, problem, segment_coefficients
+from jaxplan.minsnap.solve import Ends, cost, knot_derivatives, problem, segment_coefficients
 from jaxplan.minsnap.validity import RESIDUAL_LIMIT, SolveStatus, flag, harmless, judge, unsolved
 from jaxplan.records import record
-
-CHUNK = 512
-"""Largest number of problems solved side by side; more fall out of the cache (docs/decisions/0006-minimum-snap.md)."""
 
 
 @record
@@ -93,26 +90,7 @@ def _unpacked(ends: Ends, present: tuple[bool, ...], *wanted: Array) -> MinimumS
     return solve_batch(ends, *(next(values) if there else None for there in present))
 
 
-def solve_batch(ends: Ends, *arrays: Array | None) -> MinimumSnapBatch:
-    """The traced core of ``minimum_snap_batch``, in the precision of its arguments: chunks that fit the cache."""
-    lanes = next(array for array in arrays if array is not None).shape[-1]
-    if lanes <= CHUNK:
-        return _solve_chunk(ends, *arrays)
-    chunks = -(-lanes // CHUNK)
-    size = -(-lanes // chunks)
-
-    def cut(array: Array) -> Array:
-        filled = jnp.pad(array, [(0, 0)] * (array.ndim - 1) + [(0, chunks * size - lanes)])
-        return jnp.moveaxis(filled.reshape(*array.shape[:-1], chunks, size), -2, 0)
-
-    def join(array: Array) -> Array:
-        return jnp.moveaxis(array, 0, -2).reshape(*array.shape[1:-1], chunks * size)[..., :lanes]
-
-    solved = jax.lax.map(lambda parts: _solve_chunk(ends, *parts), jax.tree.map(cut, arrays))
-    return jax.tree.map(join, solved)
-
-
-def _solve_chunk(
+def solve_batch(
     ends: Ends,
     waypoints: Float[Array, "m+1 3 b"],
     durations: Float[Array, "m b"],
@@ -121,6 +99,7 @@ def _solve_chunk(
     yaw: Float[Array, "m+1 b"] | None,
     initial_yaw: Float[Array, "2 b"] | None,
 ) -> MinimumSnapBatch:
+    """The traced core of ``minimum_snap_batch``, in the precision of its arguments."""
     lanes, dtype = durations.shape[-1], durations.dtype
     initial = jnp.zeros((POSITION_ORDER, 3, lanes), dtype) if initial is None else initial
     given = [a for a in (initial[: ends.fixed], None if terminal is None else terminal[: ends.fixed]) if a is not None]
@@ -133,8 +112,8 @@ def _solve_chunk(
     posed = problem(times, points, start, goal, ends)
     knots = knot_derivatives(posed, ends)
     position = segment_coefficients(posed, points[:-1], knots)
-    _, _, residual = gradient(posed, jax.lax.stop_gradient(knots), ends)
-    value = jnp.where(skip, jnp.inf, cost(posed, ends))
+    value, residual = cost(posed, ends)
+    value = jnp.where(skip, jnp.inf, value)
     heading, yaw_value = _solve_yaw(times, yaw, initial_yaw, skip, ends)
     status |= flag(~(residual <= RESIDUAL_LIMIT), SolveStatus.ILL_CONDITIONED)
     splines = SplineBatch(durations=times, position=position, yaw=heading)
@@ -157,7 +136,7 @@ def _solve_yaw(
     turning = jnp.where(skip, 0.0, turning)[:, None]
     headings, _ = harmless(headings[:, None], times, skip)
     position, _ = interpolate(times, headings, turning, None, yaw_ends(ends))
-    return position, cost(problem(times, headings, turning, None, yaw_ends(ends)), yaw_ends(ends))
+    return position, cost(problem(times, headings, turning, None, yaw_ends(ends)), yaw_ends(ends))[0]
 
 
 _compiled = jax.jit(solve_batch, static_argnums=0)

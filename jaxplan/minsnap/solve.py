@@ -19,6 +19,7 @@ over the batch; ``tests/oracles/minsnap_dense.py`` is the single-problem twin. A
 follows the real segments.
 """
 
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -37,8 +38,10 @@ class Problem(NamedTuple):
     """Seconds per segment; 0 marks padding."""
     steps: Float[Array, "m d b"]
     """p_i - p_{i-1} [m]; 0 on padding."""
-    values: Float[Array, "m+1 r d b"]
-    """The prescribed derivatives 1..r [m/s^k] at the knots; 0 where they are free."""
+    start: Float[Array, "r d b"]
+    """The prescribed derivatives 1..r [m/s^k] at the start; 0 where they are free."""
+    goal: Float[Array, "r d b"] | None
+    """The same at the goal; None where they are all 0 or free."""
 
 
 class Ends(NamedTuple):
@@ -64,29 +67,27 @@ def problem(
 ) -> Problem:
     """The problem between waypoints, with derivatives given at the ends as ``ends`` says."""
     steps = jnp.where((durations > 0.0)[:, None], jnp.diff(points, axis=0), 0.0)
-    given = (jnp.arange(1, initial.shape[0] + 1) <= ends.fixed)[:, None, None]
-    values = jnp.zeros((points.shape[0], *initial.shape), durations.dtype)
-    if terminal is not None and ends.goal_moves:
-        at_goal = jnp.arange(points.shape[0])[:, None] == _count(durations)
-        values = jnp.where(at_goal[:, None, None] & given, terminal, values)
-    return Problem(durations, steps, values.at[0].set(jnp.where(given, initial, 0.0)))
+    given = _given(initial.shape[0], ends)[:, None]
+    goal = jnp.where(given, terminal, 0.0) if terminal is not None and ends.goal_moves else None
+    return Problem(durations, steps, jnp.where(given, initial, 0.0), goal)
 
 
 def knot_derivatives(problem: Problem, ends: Ends) -> Float[Array, "m+1 r d b"]:
     """Optimal derivatives 1..r at every knot; 0 behind the last real one."""
-    rows, scale = _system(problem, ends)
+    powers, push = _weights(problem.durations, len(problem.start))
     inner = _unknown_knots(problem, ends)
-    force = -_pull(problem, ends)[inner] * scale[inner][:, :, None]
-    own = jax.tree.map(lambda x: x[inner], rows)
+    before, behind = _around(powers, inner)
+    scale = _scale(before, behind, _known(problem, ends)[inner])
+    rows = elimination.Rows(scale * before, scale * behind)
+    force = -_pull(problem, powers, push, scale, ends)
     solved = jax.lax.custom_linear_solve(
-        lambda x: elimination.multiply(own, x), force, lambda _, b: elimination.solve(own, b), symmetric=True
+        lambda x: elimination.multiply(rows, x), force, lambda _, b: elimination.solve(rows, b), symmetric=True
     )
-    free = jnp.zeros_like(problem.values).at[inner].set(solved * scale[inner][:, :, None])
-    return free + problem.values
+    return _with_ends(problem, solved * scale[:, :, None])
 
 
-def cost(problem: Problem, ends: Ends) -> Float[Array, "b"]:
-    """The optimal cost: the integral of the squared r-th derivative, m^2/s^(2r-1)."""
+def cost(problem: Problem, ends: Ends) -> tuple[Float[Array, "b"], Float[Array, "b"]]:
+    """The optimal cost, the integral of the squared r-th derivative [m^2/s^(2r-1)], and its ``gradient``'s residual."""
     return _cost_of(ends)(problem)
 
 
@@ -99,127 +100,159 @@ def gradient(
         The cost E; its partial derivatives by durations, steps and prescribed values; and the residual, the largest
         |dE/dx| / (2 sqrt(E)) over the free knot derivatives x, scaled so that its largest possible value is 1.
     """
-    order = problem.values.shape[1]
-    parts, powers, push = _normalised(problem, knots)
+    order = len(problem.start)
+    powers, push = _weights(problem.durations, order)
     root = hermite.energy_root(order)[:, 1:]
-    values = jnp.stack(parts)
-    projected = _project(root, values)
-    pulls = _project(2.0 * root.T, projected)
-    energies = jnp.sum(projected * projected, axis=(0, 2))
-    exponents = np.concatenate([np.arange(1.0, order + 1), [0.0], np.arange(1.0, order + 1)]) - (order - 0.5)
-    weighted = jnp.asarray(exponents, values.dtype)[:, None, None, None] * pulls * values
-    by_duration = jnp.sum(weighted, axis=(0, 2)) * _inverse(problem.durations)
-    from_right = jnp.moveaxis(pulls[:order], 0, 1) * powers[:, :, None]
-    from_left = jnp.moveaxis(pulls[order + 1 :], 0, 1) * powers[:, :, None]
-    by_knot = _at_knots(from_left, from_right)
-    known = _known(problem, ends)[:, :, None]
-    scale = _scale(powers, _known(problem, ends))[:, :, None]
+    energies, by_duration, projected = _energies(problem, knots, root)
     total = jnp.sum(energies, axis=0)
-    steepest = jnp.max(jnp.abs(by_knot * scale), axis=(0, 1, 2))
-    residual = steepest / jnp.where(total > 0.0, 2.0 * jnp.sqrt(total), 1.0)
-    by_step = pulls[order] * push[:, None]
-    partials = Problem(by_duration, by_step, jnp.where(known, by_knot, 0.0))
-    return total, partials, residual
+    by_step = _combine(root[:, [order]].T, projected)[:, 0] * push[:, None]
+    from_right = _combine(root[:, :order].T, projected) * powers[:, :, None]
+    from_left = _combine(root[:, order + 1 :].T, projected) * powers[:, :, None]
+    by_start, by_goal = _by_ends(problem, from_left, from_right, ends)
+    inner = _unknown_knots(problem, ends)
+    scale = _scale(*_around(powers, inner), _known(problem, ends)[inner])[:, :, None]
+    slopes = jnp.abs(_around(from_left, inner)[0] + _around(from_right, inner)[1]) * scale
+    bound = jnp.where(total > 0.0, 2.0 * jnp.sqrt(total), 1.0)
+    residual = jnp.max(functools.reduce(jnp.maximum, _rows(slopes)) / bound, axis=0, initial=0.0)
+    return total, Problem(by_duration, by_step, by_start, by_goal), residual
+
+
+def _energies(
+    problem: Problem, knots: Float[Array, "m+1 r d b"], root: np.ndarray
+) -> tuple[Float[Array, "m b"], Float[Array, "m b"], list[Float[Array, "m d b"]]]:
+    """The cost of each segment, its derivative by the duration, and twice the Legendre components it is made of.
+
+    The components are the end values u_j in normalised time times root / T^(r-1/2), and u_j grows with T^j.
+    """
+    order = len(problem.start)
+    slowness, parts = _slowness(problem.durations, order), _end_values(problem, knots)
+    components = _combine(root, parts)
+    exponents = np.concatenate([np.arange(1.0, order + 1), [0.0], np.arange(1.0, order + 1)]) - (order - 0.5)
+    growths = _combine(root * exponents, parts)
+    energies = _sum([row**2 for row in _rows(components)]) / slowness**2
+    changes = _sum([2.0 * row * growth for row, growth in zip(_rows(components), _rows(growths), strict=True)])
+    by_duration = changes / (slowness**2 * jnp.where(problem.durations > 0.0, problem.durations, 1.0))
+    doubled = 2.0 * components / slowness[:, None, None]
+    return energies, by_duration, [doubled[:, row] for row in range(order + 2)]
 
 
 def segment_coefficients(problem: Problem, starts: Float[Array, "m d b"], knots: Float[Array, "m+1 r d b"]) -> Array:
     """Ascending coefficients (m, n, d, b) in normalised time (n = 2r+2) from waypoints and knot derivatives."""
     order = knots.shape[1]
-    powers = _powers(problem.durations, order)
-    left = [knots[:-1, k] * powers[k][:, None] for k in range(order)]
-    right = [knots[1:, k] * powers[k][:, None] for k in range(order)]
-    basis = hermite.coefficients(order)
-    ends = [starts, *left, problem.steps, *right]
-    columns = np.concatenate([np.eye(2 * order + 2, 1), basis[:, 1:]], axis=1)
-    return _combine(columns, ends)
+    columns = np.concatenate([np.eye(2 * order + 2, 1), hermite.coefficients(order)[:, 1:]], axis=1)
+    return _combine(columns, [starts, *_end_values(problem, knots)])
 
 
-def _cost_of(ends: Ends) -> Callable[[Problem], Array]:
+def _cost_of(ends: Ends) -> Callable[[Problem], tuple[Array, Array]]:
     """The optimal cost with the envelope theorem as its rule; its derivatives differentiate the knots implicitly."""
 
     @jax.custom_jvp
-    def optimal(problem: Problem) -> Float[Array, "b"]:
-        return _energy(problem, knot_derivatives(problem, ends))
+    def optimal(problem: Problem) -> tuple[Float[Array, "b"], Float[Array, "b"]]:
+        value, _, residual = gradient(problem, knot_derivatives(problem, ends), ends)
+        return value, residual
 
     @optimal.defjvp
     def rule(primals: tuple, tangents: tuple) -> tuple:
-        value, partials, _ = gradient(primals[0], knot_derivatives(primals[0], ends), ends)
+        value, partials, residual = gradient(primals[0], knot_derivatives(primals[0], ends), ends)
         products = jax.tree.map(lambda a, b: jnp.sum(a * b, axis=tuple(range(a.ndim - 1))), partials, tangents[0])
-        return value, sum(products)
+        return (value, jax.lax.stop_gradient(residual)), (sum(jax.tree.leaves(products)), jnp.zeros_like(residual))
 
     return optimal
 
 
-def _energy(problem: Problem, knots: Float[Array, "m+1 r d b"]) -> Float[Array, "b"]:
-    parts, _, _ = _normalised(problem, knots)
-    projected = _project(hermite.energy_root(problem.values.shape[1])[:, 1:], jnp.stack(parts))
-    return jnp.sum(projected * projected, axis=(0, 1, 2))
+def _end_values(problem: Problem, knots: Float[Array, "m+1 r d b"]) -> list[Float[Array, "m d b"]]:
+    """End values of each segment in normalised time: derivatives at its start, step, derivatives at its end."""
+    powers = _powers(problem.durations, knots.shape[1])
+    left = [knots[:-1, k] * power[:, None] for k, power in enumerate(powers)]
+    right = [knots[1:, k] * power[:, None] for k, power in enumerate(powers)]
+    return [*left, problem.steps, *right]
 
 
-def _normalised(problem: Problem, knots: Float[Array, "m+1 r d b"]) -> tuple[list[Array], Array, Array]:
-    """End values of each segment in normalised time, divided by T^(r-1/2): derivatives, step, derivatives."""
-    powers, push = _weights(problem.durations, problem.values.shape[1])
-    order = range(powers.shape[1])
-    left = [knots[:-1, k] * powers[:, k, None] for k in order]
-    right = [knots[1:, k] * powers[:, k, None] for k in order]
-    return [*left, problem.steps * push[:, None], *right], powers, push
-
-
-def _system(problem: Problem, ends: Ends) -> tuple[elimination.Rows, Float[Array, "m+1 r b"]]:
-    """The scaled normal equations at every knot, and the scale of each unknown (0 where prescribed)."""
-    powers, _ = _weights(problem.durations, problem.values.shape[1])
-    known = _known(problem, ends)
-    scale = _scale(powers, known)
-    blank = jnp.zeros_like(powers[:1])
-    before = scale * jnp.concatenate([blank, powers])
-    behind = scale * jnp.concatenate([powers, blank])
-    return elimination.Rows(before, behind, jnp.where(scale > 0.0, 0.0, 1.0).astype(scale.dtype)), scale
-
-
-def _scale(powers: Float[Array, "m r b"], known: Bool[Array, "m+1 r b"]) -> Float[Array, "m+1 r b"]:
+def _scale(
+    before: Float[Array, "k r b"], behind: Float[Array, "k r b"], known: Bool[Array, "k r b"]
+) -> Float[Array, "k r b"]:
     """1 / sqrt of the energy's diagonal at the free knot derivatives, 0 elsewhere."""
-    order = powers.shape[1]
-    weight = jnp.asarray(np.diag(hermite.energy(order))[1 : order + 1], powers.dtype)[:, None]
-    squares = powers * powers
-    diagonal = weight * jnp.pad(squares, ((1, 0), (0, 0), (0, 0))) + weight * jnp.pad(squares, ((0, 1), (0, 0), (0, 0)))
+    order = before.shape[1]
+    weight = jnp.asarray(np.diag(hermite.energy(order))[1 : order + 1], before.dtype)[:, None]
+    diagonal = weight * (before * before + behind * behind)
     free = ~known & (diagonal > 0.0)
     return jnp.where(free, jax.lax.rsqrt(jnp.where(free, diagonal, 1.0)), 0.0)
 
 
-def _pull(problem: Problem, ends: Ends) -> Float[Array, "m+1 r d b"]:
-    """dE/dx / 2 at every knot for free derivatives 0: how the waypoints and the prescribed values pull."""
-    order = problem.values.shape[1]
-    powers, push = _weights(problem.durations, order)
-    energy = hermite.energy(order)
+def _pull(
+    problem: Problem, powers: Float[Array, "m r b"], push: Float[Array, "m b"], scale: Float[Array, "k r b"], ends: Ends
+) -> Float[Array, "k r d b"]:
+    """dE/dx / 2 at the unknown knots for free derivatives 0, scaled: how waypoints and prescribed values pull."""
+    order = powers.shape[1]
+    energy, inner, scale = hermite.energy(order), _unknown_knots(problem, ends), scale[:, :, None]
     start, end, goal = slice(1, order + 1), slice(order + 2, 2 * order + 2), order + 1
     steps = (problem.steps * push[:, None])[:, None]
     column = jnp.asarray(energy[:, goal], steps.dtype)[:, None, None]
-    from_right = column[start] * powers[:, :, None] * steps
-    from_left = column[end] * powers[:, :, None] * steps
-    pull = _at_knots(from_left, from_right)
-    count = len(powers) if ends.goal_moves else 1
-    weights, values = powers[:count], problem.values[: count + 1]
-    parts = [values[:-1, k] * weights[:, k, None] for k in range(order)]
-    parts += [values[1:, k] * weights[:, k, None] for k in range(order)]
+    (before, behind), (step_before, step_behind) = _around(powers[:, :, None], inner), _around(steps, inner)
+    pull = scale * (column[end] * before * step_before + column[start] * behind * step_behind)
+    values = _with_ends(problem, None)
+    count = 1 if problem.goal is None else len(powers)
+    weights = powers[:count]
+    parts = [values[:count, k] * weights[:, k, None] for k in range(order)]
+    parts += [values[1 : count + 1, k] * weights[:, k, None] for k in range(order)]
     both = [*range(1, order + 1), *range(order + 2, 2 * order + 2)]
-    pull = pull.at[:count].add(_combine(energy[start][:, both], parts) * weights[:, :, None])
-    return pull.at[1 : count + 1].add(_combine(energy[end][:, both], parts) * weights[:, :, None])
+    from_right, from_left = (_combine(energy[side][:, both], parts) * weights[:, :, None] for side in (start, end))
+    given = _at_knots(from_left, from_right)[inner]
+    return pull.at[: len(given)].add(scale[: len(given)] * given)
+
+
+def _with_ends(problem: Problem, free: Float[Array, "k r d b"] | None) -> Float[Array, "m+1 r d b"]:
+    """Derivatives at every knot: the unknown ones, 0 when omitted, and the prescribed ones."""
+    count = len(problem.durations) + 1
+    nothing = jnp.zeros_like(problem.start)[None]
+    if free is None:
+        free = jnp.zeros((count - 2, *problem.start.shape), problem.start.dtype)
+    if len(free) == count:
+        knots = free.at[0].add(problem.start)
+    else:
+        knots = jnp.concatenate([problem.start[None], free, nothing])
+    if problem.goal is None:
+        return knots
+    at_goal = jnp.arange(count)[:, None] == _count(problem.durations)
+    return jnp.where(at_goal[:, None, None], knots + problem.goal, knots)
+
+
+def _by_ends(
+    problem: Problem, from_left: Float[Array, "m r d b"], from_right: Float[Array, "m r d b"], ends: Ends
+) -> tuple[Float[Array, "r d b"], Float[Array, "r d b"] | None]:
+    """The derivatives of the cost by the prescribed values at the start and at the goal."""
+    given = _given(len(problem.start), ends)[:, None]
+    by_start = jnp.where(given, from_right[0], 0.0)
+    if problem.goal is None:
+        return by_start, None
+    last = jnp.arange(1, len(from_left) + 1)[:, None] == _count(problem.durations)
+    return by_start, jnp.where(given, jnp.sum(jnp.where(last[:, None, None], from_left, 0.0), axis=0), 0.0)
+
+
+def _around(segments: Float[Array, "m ... b"], knots: slice) -> tuple[Array, Array]:
+    """A quantity of the segment before and of the segment behind each of the ``knots``; 0 beyond the ends."""
+    if knots.start == 1:
+        return segments[:-1], segments[1:]
+    nothing = jnp.zeros_like(segments[:1])
+    return jnp.concatenate([nothing, segments]), jnp.concatenate([segments, nothing])
 
 
 def _unknown_knots(problem: Problem, ends: Ends) -> slice:
     """The knots that may have free derivatives."""
-    order, last = problem.values.shape[1], len(problem.durations)
+    order, last = len(problem.start), len(problem.durations)
     return slice(1, last) if ends.fixed >= order and not ends.goal_free else slice(0, last + 1)
 
 
 def _known(problem: Problem, ends: Ends) -> Bool[Array, "m+1 r b"]:
     """Which knot derivatives are prescribed: those of the ends, and all behind the goal."""
-    order = problem.values.shape[1]
-    index = jnp.arange(problem.values.shape[0])[:, None, None]
+    index = jnp.arange(len(problem.durations) + 1)[:, None, None]
     last = _count(problem.durations)[None, None]
-    given = (jnp.arange(1, order + 1) <= ends.fixed)[None, :, None]
     at_ends = (index == 0) | ((index == last) & (not ends.goal_free))
-    return (at_ends & given) | (index > last)
+    return (at_ends & _given(len(problem.start), ends)) | (index > last)
+
+
+def _given(order: int, ends: Ends) -> Bool[Array, "r 1"]:
+    return (jnp.arange(1, order + 1) <= ends.fixed)[:, None]
 
 
 def _count(durations: Float[Array, "m b"]) -> Float[Array, "b"]:
@@ -229,9 +262,14 @@ def _count(durations: Float[Array, "m b"]) -> Float[Array, "b"]:
 def _weights(durations: Float[Array, "m b"], order: int) -> tuple[Float[Array, "m r b"], Float[Array, "m b"]]:
     """T^(k - r + 1/2) for the derivatives k = 1..r and for k = 0; 0 on padding."""
     real = durations > 0.0
-    safe = jnp.where(real, durations, 1.0)
-    push = jnp.where(real, jax.lax.rsqrt(safe) / safe ** (order - 1), 0.0)
-    return jnp.stack([push * power for power in _powers(safe, order)], axis=1), push
+    push = jnp.where(real, 1.0 / _slowness(durations, order), 0.0)
+    return jnp.stack([push * power for power in _powers(durations, order)], axis=1), push
+
+
+def _slowness(durations: Float[Array, "m b"], order: int) -> Float[Array, "m b"]:
+    """T^(r - 1/2), by which the end values in normalised time are divided; 1 on padding."""
+    safe = jnp.where(durations > 0.0, durations, 1.0)
+    return jnp.sqrt(safe) * safe ** (order - 1)
 
 
 def _powers(durations: Float[Array, "m b"], order: int) -> list[Float[Array, "m b"]]:
@@ -242,24 +280,22 @@ def _powers(durations: Float[Array, "m b"], order: int) -> list[Float[Array, "m 
     return powers
 
 
-def _inverse(durations: Float[Array, "m b"]) -> Float[Array, "m b"]:
-    real = durations > 0.0
-    return jnp.where(real, 1.0 / jnp.where(real, durations, 1.0), 0.0)
-
-
 def _at_knots(from_left: Float[Array, "m r d b"], from_right: Float[Array, "m r d b"]) -> Float[Array, "m+1 r d b"]:
     """Sum at every knot of what the segment before it and the segment behind it contribute."""
     width = ((1, 0), (0, 0), (0, 0), (0, 0))
     return jnp.pad(from_left, width) + jnp.pad(from_right, (width[0][::-1], *width[1:]))
 
 
-def _project(matrix: np.ndarray, values: Float[Array, "j m d b"]) -> Float[Array, "i m d b"]:
-    """matrix @ values as one product: XLA repeats an elementwise one in each of its consumers."""
-    flat = jnp.asarray(matrix, values.dtype) @ values.reshape(len(values), -1)
-    return flat.reshape(len(matrix), *values.shape[1:])
-
-
 def _combine(matrix: np.ndarray, parts: list[Float[Array, "m d b"]]) -> Float[Array, "m i d b"]:
     """matrix @ parts for every segment, axis and lane, as one elementwise expression."""
     columns = jnp.asarray(matrix, parts[0].dtype)[:, :, None, None]
     return sum(columns[:, j] * part[:, None] for j, part in enumerate(parts))  # type: ignore[return-value]
+
+
+def _rows(values: Float[Array, "m i d b"]) -> list[Float[Array, "m b"]]:
+    """The rows of the two middle axes. XLA vectorises a sum of these, but not a reduction over their axes."""
+    return [values[:, i, j] for i in range(values.shape[1]) for j in range(values.shape[2])]
+
+
+def _sum(terms: list[Array]) -> Array:
+    return sum(terms[1:], start=terms[0])
