@@ -7,11 +7,11 @@ Three problems, all in the logarithms of the durations, for a whole batch at onc
     (c) minimise  T  within the limits of the vehicle    eq. 6
 
 (a) and (b) minimise the logarithm of the cost by BFGS with the exact gradient, so that neither the size of the room
-nor rho changes the iterations. (c) alternates (b) with a search for the shortest feasible total time, in which the
-trajectory is solved anew at every trial: with arbitrary initial derivatives, scaling one trajectory would change them.
+nor rho changes the iterations. (c) starts from (b): ``minimum_time``.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -21,16 +21,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from jaxplan.errors import InputError
-from jaxplan.minsnap.batch import SplineBatch
-from jaxplan.minsnap.problem import YAW_ORDER, interpolate
+from jaxplan.minsnap.minimum_time import Margin, sampled_margins, shortest_alternated
+from jaxplan.minsnap.problem import YAW_ORDER
 from jaxplan.minsnap.quasi_newton import minimise
 from jaxplan.minsnap.solve import REST, Ends, gradient, knot_derivatives, problem
 from jaxplan.minsnap.validity import SolveStatus, flag, harmless, judge, unsolved
 from jaxplan.records import record
-from jaxplan.spline import FlatState
-
-Margin = Callable[[FlatState], Float[Array, ""]]
-"""How far one flat state is from the vehicle's limits: positive inside (``vehicle.limits.rotor_limit_margin``)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -145,7 +141,11 @@ def allocate(
     late = ~(decrement <= 10.0 * config.tolerance)
     if kind == "fastest":
         assert margin is not None
-        durations, feasible = _fastest(margin, smoothness, points, start, yaw, durations, real, config)
+        margins = functools.partial(sampled_margins, margin, points, start, yaw, samples=config.samples_per_segment)
+        reshare = functools.partial(_fixed, smoothness, real=real, config=config)
+        durations, feasible = shortest_alternated(
+            margins, lambda best, total: reshare(best, total=total)[0], durations, config.rounds, config.bisections
+        )
         value = jnp.sum(durations, axis=0)
         status |= flag(~feasible & ~skip, SolveStatus.INFEASIBLE)
         skip |= ~feasible
@@ -185,11 +185,34 @@ def _smoothness(
 
 
 def _first_guess(points: Float[Array, "m+1 3 b"], real: Bool[Array, "m b"]) -> Float[Array, "m b"]:
-    """Durations that grow with the square root of the distance (at constant acceleration), 1 s in the mean."""
+    """Typical shares, 1 s in the mean: a power of the distance, longer where the flight starts and stops.
+
+    Power and factor are fitted to the optima of random waypoints in a room (least squares in the logarithms).
+    """
     squares = jnp.sum(jnp.diff(points, axis=0) ** 2, axis=1)
-    mean = jnp.sum(jnp.where(real, squares, 0.0), axis=0) / jnp.maximum(jnp.sum(real, axis=0), 1)
-    share = (squares / jnp.where(mean > 0.0, mean, 1.0) + 1e-2) ** 0.25
-    return jnp.where(real, share, 0.0)
+    count = jnp.maximum(jnp.sum(real, axis=0), 1)
+    mean = jnp.sum(jnp.where(real, squares, 0.0), axis=0) / count
+    share = (squares / jnp.where(mean > 0.0, mean, 1.0) + 0.02) ** 0.28
+    index = jnp.arange(len(real))[:, None]
+    share = jnp.where(real, jnp.where((index == 0) | (index == count - 1), 1.57, 1.0) * share, 0.0)
+    whole = jnp.sum(share, axis=0)
+    return share * (count / jnp.where(whole > 0.0, whole, 1.0))
+
+
+def _first_inverse(real: Bool[Array, "m b"]) -> Float[Array, "m m b"]:
+    """The inverse of a typical Hessian of a log cost in log durations, for each lane's number of segments.
+
+    Hessians at the optima of random waypoints are banded, and their bands hardly vary; they fall with 1 / count.
+    """
+    m = len(real)
+    table = np.zeros((m + 1, m, m))
+    for count in range(1, m + 1):
+        bands = np.full(count, 2.6), np.full(count - 1, 1.25), np.full(max(count - 2, 0), 0.42)
+        bands[0][[0, -1]] = 7.2
+        bands[1][:1] = bands[1][-1:] = 2.0
+        upper = sum(np.diag(band, k) for k, band in enumerate(bands[:count]))
+        table[count, :count, :count] = count * np.linalg.inv(upper + np.triu(upper, 1).T)
+    return jnp.moveaxis(jnp.asarray(table)[jnp.sum(real, axis=0)], 0, -1)
 
 
 def _weighted(
@@ -210,7 +233,9 @@ def _weighted(
         safe = jnp.where(cost > 0.0, cost, 1.0)
         return jnp.log(safe), durations * (slope + weight) / safe
 
-    found = minimise(objective, _log(first * factor, real), config.tolerance, config.max_evaluations)
+    found = minimise(
+        objective, _log(first * factor, real), _first_inverse(real), config.tolerance, config.max_evaluations
+    )
     return jnp.where(real, jnp.exp(found.x), 0.0), jnp.exp(found.value), found.decrement, found.evaluations
 
 
@@ -235,76 +260,8 @@ def _fixed(
         pull = durations * slope
         return jnp.log(safe), (pull - durations / total * jnp.sum(pull, axis=0)) / safe
 
-    found = minimise(objective, _log(first, real), config.tolerance, config.max_evaluations)
+    found = minimise(objective, _log(first, real), _first_inverse(real), config.tolerance, config.max_evaluations)
     return shared(found.x), jnp.exp(found.value), found.decrement, found.evaluations
-
-
-def _fastest(
-    margin: Margin,
-    sigma: Smoothness,
-    points: Float[Array, "m+1 3 b"],
-    initial: Float[Array, "4 3 b"],
-    yaw: Float[Array, "m+1 b"] | None,
-    durations: Float[Array, "m b"],
-    real: Bool[Array, "m b"],
-    config: TimeAllocationConfig,
-) -> tuple[Float[Array, "m b"], Bool[Array, "b"]]:
-    """(c): the shortest total time at the best ratios found for it, and whether there is one."""
-
-    def inside(durations: Float[Array, "m b"]) -> Bool[Array, "b"]:
-        return least_margin(margin, points, initial, yaw, durations, config.samples_per_segment) >= 0.0
-
-    best, feasible = _shortest(inside, durations, config.bisections)
-    for _ in range(config.rounds - 1):
-        total = jnp.where(feasible, jnp.sum(best, axis=0), jnp.sum(durations, axis=0))
-        again, _, _, _ = _fixed(sigma, jnp.where(real, best, 0.0), real, total, config)
-        shorter, found = _shortest(inside, again, config.bisections)
-        better = found & ~(feasible & (jnp.sum(best, axis=0) <= jnp.sum(shorter, axis=0)))
-        best, feasible = jnp.where(better, shorter, best), feasible | found
-    return best, feasible
-
-
-def _shortest(
-    inside: Callable[[Float[Array, "m b"]], Bool[Array, "b"]], durations: Float[Array, "m b"], bisections: int
-) -> tuple[Float[Array, "m b"], Bool[Array, "b"]]:
-    """The least feasible multiple of ``durations``: a grid of factors, then bisection below its first success.
-
-    Feasibility need not be monotone in the factor when the initial derivatives are not 0, hence the grid.
-    """
-    factors = jnp.asarray(1.25 ** np.arange(-12.0, 13.0), durations.dtype)
-    passed = jax.lax.map(lambda factor: inside(factor * durations), factors)
-    feasible = jnp.any(passed, axis=0)
-    high = factors[jnp.argmax(passed, axis=0)]
-
-    def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = bracket
-        middle = jnp.sqrt(low * high)
-        good = inside(middle * durations)
-        return jnp.where(good, low, middle), jnp.where(good, middle, high)
-
-    _, high = jax.lax.fori_loop(0, bisections, halve, (high / 1.25, high))
-    return high * durations, feasible
-
-
-def least_margin(
-    margin: Margin,
-    points: Float[Array, "m+1 3 b"],
-    initial: Float[Array, "4 3 b"],
-    yaw: Float[Array, "m+1 b"] | None,
-    durations: Float[Array, "m b"],
-    samples: int,
-) -> Float[Array, "b"]:
-    """The least margin over ``samples`` + 1 instants of every segment of the minimum-snap trajectory."""
-    position, _ = interpolate(durations, points, initial)
-    heading = jnp.zeros((len(durations), 6, 1, durations.shape[-1]), durations.dtype)
-    if yaw is not None:
-        heading, _ = interpolate(durations, yaw[:, None], jnp.zeros((YAW_ORDER, 1, yaw.shape[-1]), yaw.dtype))
-    splines = SplineBatch(durations=durations, position=position, yaw=heading)
-    instants = np.linspace(0.0, 1.0, samples + 1)
-    state = FlatState(derivatives=splines.derivatives(instants), yaw=splines.yaw_derivatives(instants))
-    one = jax.vmap(margin, in_axes=-1, out_axes=-1)
-    margins = jax.vmap(jax.vmap(one))(state)
-    return jnp.min(jnp.where((durations > 0.0)[:, None], margins, jnp.inf), axis=(0, 1))
 
 
 def _log(durations: Float[Array, "m b"], real: Bool[Array, "m b"]) -> Float[Array, "m b"]:

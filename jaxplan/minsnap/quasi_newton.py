@@ -14,8 +14,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 SUFFICIENT_DECREASE = 1e-4
 """Armijo's constant (Nocedal & Wright, sec. 3.1)."""
-FIRST_INVERSE = 0.05
-"""First inverse Hessian of a log cost in log durations (arbitrary; the first accepted step rescales it)."""
+STEEPEST = 0.05
+"""Step along the gradient where the model's direction does not descend (arbitrary; rounding errors only)."""
 LONGEST_STEP = 1.0
 """Largest change of an unknown in one step (arbitrary: a factor e in a duration)."""
 SHORTEST_STEP = 1e-8
@@ -42,27 +42,33 @@ class _Search(NamedTuple):
     inverse: Float[Array, "n n b"]
     direction: Float[Array, "n b"]
     step: Float[Array, "b"]
-    fresh: Bool[Array, "b"]
     active: Bool[Array, "b"]
     evaluations: Int[Array, "b"]
     rounds: Int[Array, ""]
 
 
-def minimise(objective: Objective, start: Float[Array, "n b"], tolerance: float, max_evaluations: int) -> Minimum:
-    """Minimise every lane until its predicted decrease falls below ``tolerance``."""
-    n, lanes = start.shape
+def minimise(
+    objective: Objective,
+    start: Float[Array, "n b"],
+    inverse: Float[Array, "n n b"],
+    tolerance: float,
+    max_evaluations: int,
+) -> Minimum:
+    """Minimise every lane until its predicted decrease falls below ``tolerance``.
+
+    ``inverse`` is the first guess of the inverse Hessian.
+    """
+    lanes = start.shape[1]
     value, gradient = objective(start)
-    identity = jnp.broadcast_to(jnp.eye(n, dtype=start.dtype)[..., None], (n, n, lanes)) * FIRST_INVERSE
-    direction = _limited(-FIRST_INVERSE * gradient)
+    direction = _limited(-_matvec(inverse, gradient))
     search = _Search(
         start,
         value,
         gradient,
-        identity,
+        inverse,
         direction,
         jnp.ones(lanes, start.dtype),
-        jnp.ones(lanes, bool),
-        jnp.isfinite(value) & (-_dot(gradient, direction) > tolerance),
+        jnp.isfinite(value) & (-0.5 * _dot(gradient, direction) > tolerance),
         jnp.ones(lanes, jnp.int32),
         jnp.int32(1),
     )
@@ -80,10 +86,10 @@ def _advance(objective: Objective, search: _Search, tolerance: float) -> _Search
     value, gradient = objective(search.x + move)
     slope = _dot(search.gradient, search.direction)
     better = search.active & (value <= search.value + SUFFICIENT_DECREASE * search.step * slope)
-    inverse = _updated(search.inverse, move, gradient - search.gradient, search.fresh, better)
+    inverse = _updated(search.inverse, move, gradient - search.gradient, better)
     direction = -_matvec(inverse, gradient)
     steepest = ~(_dot(direction, gradient) < 0.0)
-    direction = _limited(jnp.where(steepest, -FIRST_INVERSE * gradient, direction))
+    direction = _limited(jnp.where(steepest, -STEEPEST * gradient, direction))
     excess = value - search.value - search.step * slope
     shorter = search.step * jnp.clip(-0.5 * search.step * slope / jnp.where(excess > 0.0, excess, jnp.inf), 0.1, 0.5)
     shorter = jnp.where(jnp.isfinite(value), shorter, 0.1 * search.step)
@@ -96,7 +102,6 @@ def _advance(objective: Objective, search: _Search, tolerance: float) -> _Search
         inverse,
         jnp.where(better, direction, search.direction),
         jnp.where(better, 1.0, shorter),
-        search.fresh & ~better,
         keep,
         search.evaluations + search.active,
         search.rounds + 1,
@@ -107,16 +112,12 @@ def _updated(
     inverse: Float[Array, "n n b"],
     move: Float[Array, "n b"],
     change: Float[Array, "n b"],
-    fresh: Bool[Array, "b"],
     better: Bool[Array, "b"],
 ) -> Float[Array, "n n b"]:
     """The BFGS update, where the step was taken and the curvature along it is positive."""
     curvature = _dot(move, change)
     use = better & (curvature > 1e-12 * jnp.sqrt(_dot(move, move) * _dot(change, change)))
     curvature = jnp.where(use, curvature, 1.0)
-    scale = curvature / jnp.where(use, _dot(change, change), 1.0)
-    eye = jnp.eye(len(move), dtype=move.dtype)[..., None]
-    inverse = jnp.where(use & fresh, scale * eye, inverse)
     image = _matvec(inverse, change)
     stretch = (1.0 + _dot(change, image) / curvature) / curvature
     cross = (image / curvature)[:, None] * move[None]

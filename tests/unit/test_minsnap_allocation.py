@@ -69,12 +69,14 @@ def test_as_good_as_a_published_allocation(examples):
     assert found.cost[0] <= 1.0001 * smoothness(points, published)
 
 
+MARGIN = functools.partial(rotor_limit_margin, load_vehicle())
+
+
 @pytest.mark.parametrize("moving", [False, True])
 def test_minimum_time_is_feasible_and_cannot_be_shortened(moving):
-    waypoints, vehicle = random_waypoints(6, 3), load_vehicle()
+    waypoints = random_waypoints(6, 3)
     initial = np.random.default_rng(4).normal(size=(4, 3, 6)) if moving else np.zeros((4, 3, 6))
-    margin = functools.partial(rotor_limit_margin, vehicle)
-    found = time_allocation(waypoints, margin=margin, initial=initial)
+    found = time_allocation(waypoints, margin=MARGIN, initial=initial)
     assert (found.status == 0).all()
 
     def inside(durations, lane):
@@ -83,7 +85,7 @@ def test_minimum_time_is_feasible_and_cannot_be_shortened(moving):
         times = np.concatenate([np.linspace(a, b, 17) for a, b in itertools.pairwise(knots)])
         states = spline.state(times)
         rows = zip(states.derivatives, states.yaw, strict=True)
-        return all(float(margin(jaxplan.FlatState(derivatives=d, yaw=y))) >= -1.0 for d, y in rows)
+        return all(float(MARGIN(jaxplan.FlatState(derivatives=d, yaw=y))) >= -1.0 for d, y in rows)
 
     for lane in range(2):
         assert inside(found.durations[:, lane], lane)

@@ -1,0 +1,87 @@
+"""The least total time at which a minimum-snap trajectory keeps within a vehicle's limits (paper eq. 6), in a batch.
+
+The limits are tested at sampled instants. At every trial the trajectory is solved anew: with arbitrary initial
+derivatives, scaling one trajectory would change them.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxplan.minsnap.batch import SplineBatch
+from jaxplan.minsnap.problem import YAW_ORDER, interpolate
+from jaxplan.spline import FlatState
+
+Margin = Callable[[FlatState], Float[Array, ""]]
+"""How far one flat state is from the vehicle's limits: positive inside (``vehicle.limits.rotor_limit_margin``)."""
+Margins = Callable[[Float[Array, "m b"]], Float[Array, "m s b"]]
+"""The margins of the best trajectory for given durations, at the sampled instants of each segment; inf on padding."""
+
+
+def sampled_margins(
+    margin: Margin,
+    points: Float[Array, "m+1 3 b"],
+    initial: Float[Array, "4 3 b"],
+    yaw: Float[Array, "m+1 b"] | None,
+    durations: Float[Array, "m b"],
+    samples: int,
+) -> Float[Array, "m s b"]:
+    """``margin`` at ``samples`` + 1 instants of every segment of the minimum-snap trajectory; inf on padding."""
+    position, _ = interpolate(durations, points, initial)
+    heading = jnp.zeros((len(durations), 6, 1, durations.shape[-1]), durations.dtype)
+    if yaw is not None:
+        heading, _ = interpolate(durations, yaw[:, None], jnp.zeros((YAW_ORDER, 1, yaw.shape[-1]), yaw.dtype))
+    splines = SplineBatch(durations=durations, position=position, yaw=heading)
+    instants = np.linspace(0.0, 1.0, samples + 1)
+    state = FlatState(derivatives=splines.derivatives(instants), yaw=splines.yaw_derivatives(instants))
+    one = jax.vmap(margin, in_axes=-1, out_axes=-1)
+    return jnp.where((durations > 0.0)[:, None], jax.vmap(jax.vmap(one))(state), jnp.inf)
+
+
+def shortest_alternated(
+    margins: Margins,
+    reshare: Callable[[Float[Array, "m b"], Float[Array, "b"]], Float[Array, "m b"]],
+    durations: Float[Array, "m b"],
+    rounds: int,
+    bisections: int,
+) -> tuple[Float[Array, "m b"], Bool[Array, "b"]]:
+    """The shortest feasible total time at the best ratios found for it, and whether there is one.
+
+    ``reshare`` distributes a total time best, from given durations; it alternates with the search for the total time.
+    """
+    best, feasible = _shortest(margins, durations, bisections)
+    for _ in range(rounds - 1):
+        total = jnp.where(feasible, jnp.sum(best, axis=0), jnp.sum(durations, axis=0))
+        shorter, found = _shortest(margins, reshare(best, total), bisections)
+        better = found & ~(feasible & (jnp.sum(best, axis=0) <= jnp.sum(shorter, axis=0)))
+        best, feasible = jnp.where(better, shorter, best), feasible | found
+    return best, feasible
+
+
+def _shortest(
+    margins: Margins, durations: Float[Array, "m b"], bisections: int
+) -> tuple[Float[Array, "m b"], Bool[Array, "b"]]:
+    """The least feasible multiple of ``durations``: a grid of factors, then bisection below its first success.
+
+    Feasibility need not be monotone in the factor when the initial derivatives are not 0, hence the grid.
+    """
+
+    def inside(durations: Float[Array, "m b"]) -> Bool[Array, "b"]:
+        return jnp.min(margins(durations), axis=(0, 1)) >= 0.0
+
+    factors = jnp.asarray(1.25 ** np.arange(-12.0, 13.0), durations.dtype)
+    passed = jax.lax.map(lambda factor: inside(factor * durations), factors)
+    feasible = jnp.any(passed, axis=0)
+    high = factors[jnp.argmax(passed, axis=0)]
+
+    def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = bracket
+        middle = jnp.sqrt(low * high)
+        good = inside(middle * durations)
+        return jnp.where(good, low, middle), jnp.where(good, middle, high)
+
+    _, high = jax.lax.fori_loop(0, bisections, halve, (high / 1.25, high))
+    return high * durations, feasible
