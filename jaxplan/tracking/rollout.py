@@ -6,11 +6,12 @@ and its errors are against row i + 1. To go on, the next call's row 0 is this ca
 """
 
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxplan.errors import InputError
 from jaxplan.numerics import wrap_angle
@@ -18,6 +19,7 @@ from jaxplan.records import record, replace
 from jaxplan.spline import FlatState
 from jaxplan.tracking.disturbance import Disturbance
 from jaxplan.tracking.indi import indi
+from jaxplan.tracking.lanes import joined, over_lanes, split
 from jaxplan.tracking.model import PHYSICS_RATE, Body, vehicle_body
 from jaxplan.tracking.plant import (
     Noise,
@@ -79,6 +81,9 @@ class Plant(NamedTuple):
 
     A ``Disturbance`` adds wind, a gust and thrust losses; None is calm.
     """
+    fly_lanes: Callable[..., tuple[PlantState, FlightLog]]
+    """``fly`` for many flights, which are the last axis of every array in and out: what ``vmap(fly, -1, -1)`` computes,
+    several times as fast (``lanes``)."""
 
 
 def build_plant(vehicle: Vehicle, *, noise: bool = True, controller: ControllerName = "indi") -> Plant:
@@ -87,7 +92,11 @@ def build_plant(vehicle: Vehicle, *, noise: bool = True, controller: ControllerN
         raise InputError(f"build_plant: controller is {controller!r}, want one of {', '.join(CONTROLLERS)}")
     body = vehicle_body(vehicle)
     law = CONTROLLERS[controller]
-    noise_of = draw_noise if noise else no_noise
+    draws = draw_noise if noise else no_noise
+
+    def noise_of(key: PRNGKeyArray, begun: Int[Array, ""], count: int) -> Noise:
+        keys = jax.vmap(lambda step: jax.random.fold_in(key, step))(begun + jnp.arange(count))
+        return jax.vmap(lambda key: draws(key, _SUBSTEPS))(keys)
 
     def reset(reference: FlatState, key: PRNGKeyArray) -> PlantState:
         return state_on_reference(vehicle.astype(jnp.float32), reference, key)
@@ -95,37 +104,67 @@ def build_plant(vehicle: Vehicle, *, noise: bool = True, controller: ControllerN
     def fly(
         state: PlantState, references: FlatState, disturbance: Disturbance | None = None
     ) -> tuple[PlantState, FlightLog]:
-        return _fly(vehicle.astype(jnp.float32), body, law, noise_of, state, references, disturbance)
+        draw = noise_of(state.key, state.step, len(references.yaw) - 1)
+        return _fly(_steps(vehicle, body, law, _as_it_is), state, references, draw, disturbance)
 
-    return Plant(reset=float32_island(reset), fly=float32_island(fly))
+    def fly_lanes(
+        state: PlantState, references: FlatState, disturbance: Disturbance | None = None
+    ) -> tuple[PlantState, FlightLog]:
+        draw = jax.vmap(noise_of, (-1, -1, None), -1)(state.key, state.step, len(references.yaw) - 1)
+        return joined(_fly(_steps(vehicle, body, law, over_lanes), split(state), references, draw, disturbance))
+
+    return Plant(reset=float32_island(reset), fly=float32_island(fly), fly_lanes=float32_island(fly_lanes))
+
+
+class _Steps(NamedTuple):
+    """What happens within a control step."""
+
+    command: Callable[[PlantState, FlatState], tuple[Float[Array, "4"], Bool[Array, ""]]]
+    physics: Callable[..., PlantState]
+    finish: Callable[..., tuple[PlantState, "FlightLog"]]
+
+
+def _as_it_is(function: Callable[..., Any]) -> Callable[..., Any]:
+    return function
+
+
+def _steps(vehicle: Vehicle, body: Body, law: Controller, over: Callable[[Any], Any]) -> _Steps:
+    """The steps of one flight, each handed through ``over``: ``over_lanes`` makes them steps of many flights."""
+    cast = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), vehicle)
+
+    def command(state: PlantState, reference: FlatState) -> tuple[Float[Array, "4"], Bool[Array, ""]]:
+        return law(cast, sense(state), reference)
+
+    def physics(
+        state: PlantState, commands: Float[Array, "4"], draw: Noise, disturbance: Disturbance | None
+    ) -> PlantState:
+        time = state.step / CONTROL_RATE  # the same for the substeps: a gust lasts longer than 5 ms
+        return physics_step(cast, body, state, commands, draw, disturbance, time)
+
+    def finish(state: PlantState, target: FlatState, saturated: Bool[Array, ""]) -> tuple[PlantState, FlightLog]:
+        return replace(state, step=state.step + 1), _log(state, target, saturated)
+
+    return _Steps(command=over(command), physics=over(physics), finish=over(finish))
 
 
 def _fly(
-    vehicle: Vehicle,
-    body: Body,
-    law: Controller,
-    noise_of: Callable[[PRNGKeyArray, int], Noise],
-    state: PlantState,
-    references: FlatState,
-    disturbance: Disturbance | None,
+    steps: _Steps, state: PlantState, references: FlatState, noise: Noise, disturbance: Disturbance | None
 ) -> tuple[PlantState, FlightLog]:
+    """``noise``: the draws of every control step and substep, in the first two axes."""
     now = jax.tree.map(lambda rows: rows[:-1], references)
     then = jax.tree.map(lambda rows: rows[1:], references)
 
-    def control_step(state: PlantState, row: tuple[FlatState, FlatState]) -> tuple[PlantState, FlightLog]:
-        reference, target = row
-        commands, saturated = law(vehicle, sense(state), reference)
-        time = state.step / CONTROL_RATE  # the same for the substeps: a gust lasts longer than 5 ms
-        noise = noise_of(jax.random.fold_in(state.key, state.step), _SUBSTEPS)
+    def control_step(state: PlantState, row: tuple[FlatState, FlatState, Noise]) -> tuple[PlantState, FlightLog]:
+        reference, target, draws = row
+        commands, saturated = steps.command(state, reference)
 
         def substep(state: PlantState, draw: Noise) -> tuple[PlantState, None]:
-            return physics_step(vehicle, body, state, commands, draw, disturbance, time), None
+            return steps.physics(state, commands, draw, disturbance), None
 
-        state, _ = jax.lax.scan(substep, state, noise)
-        state = replace(state, step=state.step + 1)
-        return state, _log(state, target, saturated)
+        state, _ = jax.lax.scan(substep, state, draws)
+        return steps.finish(state, target, saturated)
 
-    return jax.lax.scan(control_step, state, (now, then))
+    return jax.lax.scan(control_step, state, (now, then, noise))
 
 
 def _log(state: PlantState, target: FlatState, saturated: Bool[Array, ""]) -> FlightLog:

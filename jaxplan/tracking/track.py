@@ -1,13 +1,16 @@
 """Flying many trajectories in simulation: which of them the vehicle can follow, and how well.
 
 A chunk of ``LANES`` flights advances in blocks of one second, all by the same compiled program whatever their lengths:
-a lane whose flight is over flies on, unseen. Flights are sorted by length first, so that few lanes idle. The noise of
-a flight depends on the seed and its index alone, so neither order, batch size nor neighbours change its result.
+a lane whose flight is over flies on, unseen. Chunks share the cores, one thread each. Flights are sorted by length
+first, so that few lanes idle. The noise of a flight depends on the seed and its index alone, so neither order, batch
+size nor neighbours change its result.
 """
 
 import dataclasses
 import functools
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
@@ -105,10 +108,13 @@ def track(
     flown = np.flatnonzero((durations > 0.0) & (durations <= LONGEST_FLIGHT))
     flown = flown[np.argsort(-durations[flown], kind="stable")]
     inputs = None if disturbance is None else _for_each(disturbance, len(durations))
-    parts = [
-        _fly_chunk(tracker, flights, durations, numbers, flown[i : i + LANES], chosen, start, inputs)
-        for i in range(0, len(flown), LANES)
-    ]
+
+    def fly(begin: int) -> _Summary:
+        return _fly_chunk(tracker, flights, durations, numbers, flown[begin : begin + LANES], chosen, start, inputs)
+
+    begins = range(0, len(flown), LANES)
+    with ThreadPoolExecutor(max(1, min(len(begins), os.cpu_count() or 1))) as pool:
+        parts = list(pool.map(fly, begins))
     return _result(durations, flown, parts, chosen.thresholds)
 
 
@@ -129,11 +135,11 @@ def _fly_chunk(
     limits = np.array([config.thresholds.position, config.thresholds.yaw])
     times = np.arange(BLOCK_STEPS + 1) / CONTROL_RATE
     references = references_at(batch, times)
-    first = jax.tree.map(lambda leaf: leaf[:, 0], references)
+    first = jax.tree.map(lambda leaf: leaf[0], references)
     if start is not None:
-        _check_start(start, np.asarray(first.pos), members, config.thresholds.position)
-        first = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (WIDTH, *np.shape(leaf))), start)
-    around = jax.tree.map(lambda leaf: leaf[lanes], inputs)
+        _check_start(start, np.asarray(first.derivatives[0]).T, members, config.thresholds.position)
+        first = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[..., None], WIDTH, axis=-1), start)
+    around = jax.tree.map(lambda leaf: np.moveaxis(leaf[lanes], 0, -1), inputs)
     state = tracker.reset(first, numbers[lanes].astype(np.int32), jax.random.key(config.seed))
     summary = _blank()
     for done in range(0, int(steps.max()), BLOCK_STEPS):
@@ -210,7 +216,7 @@ def _tracker(content: _Content, noise: bool, controller: ControllerName) -> _Tra
 
     def reset(references: FlatState, numbers: Int[Array, "b"], key: PRNGKeyArray) -> PlantState:
         keys = jax.vmap(lambda number: jax.random.fold_in(key, number))(numbers)
-        return jax.vmap(plant.reset)(references, keys)
+        return jax.vmap(plant.reset, (-1, 0), -1)(references, keys)
 
     def advance(
         state: PlantState,
@@ -221,30 +227,30 @@ def _tracker(content: _Content, noise: bool, controller: ControllerName) -> _Tra
         disturbance: Disturbance | None,
     ) -> tuple[PlantState, _Summary]:
         begun = state.step
-        state, log = jax.vmap(plant.fly)(state, references, disturbance)
-        active = jnp.arange(BLOCK_STEPS) < left[:, None]
+        state, log = plant.fly_lanes(state, references, disturbance)
+        active = jnp.arange(BLOCK_STEPS)[:, None] < left
         return state, _updated(summary, log, active, begun, limits)
 
     return _Tracker(reset=float32_island(reset), advance=float32_island(advance))
 
 
 def _updated(
-    summary: _Summary, log: FlightLog, active: Bool[Array, "b n"], begun: Int[Array, "b"], limits: Float[Array, "2"]
+    summary: _Summary, log: FlightLog, active: Bool[Array, "n b"], begun: Int[Array, "b"], limits: Float[Array, "2"]
 ) -> _Summary:
     """The summary after one more block; what is not finite counts as infinite."""
     position = jnp.where(jnp.isfinite(log.position_error), log.position_error, jnp.inf)
     yaw = jnp.where(jnp.isfinite(log.yaw_error), log.yaw_error, jnp.inf)
     broken = active & ~((position < limits[0]) & (yaw < limits[1]))
-    step = begun + 1 + jnp.argmax(broken, axis=1)
-    violation = jnp.where(jnp.any(broken, axis=1), step / CONTROL_RATE, jnp.inf).astype(jnp.float32)
-    speeds = jnp.max(log.rotor_speeds, axis=-1)
+    step = begun + 1 + jnp.argmax(broken, axis=0)
+    violation = jnp.where(jnp.any(broken, axis=0), step / CONTROL_RATE, jnp.inf).astype(jnp.float32)
+    speeds = jnp.max(log.rotor_speeds, axis=1)
     speeds = jnp.where(active & jnp.isfinite(speeds), speeds, 0.0)
     return _Summary(
-        position_error=jnp.maximum(summary.position_error, jnp.max(jnp.where(active, position, 0.0), axis=1)),
-        yaw_error=jnp.maximum(summary.yaw_error, jnp.max(jnp.where(active, yaw, 0.0), axis=1)),
+        position_error=jnp.maximum(summary.position_error, jnp.max(jnp.where(active, position, 0.0), axis=0)),
+        yaw_error=jnp.maximum(summary.yaw_error, jnp.max(jnp.where(active, yaw, 0.0), axis=0)),
         first_violation=jnp.minimum(summary.first_violation, violation),
-        rotor_speed=jnp.maximum(summary.rotor_speed, jnp.max(speeds, axis=1)),
-        saturated=summary.saturated + jnp.sum(active & log.saturated, axis=1, dtype=jnp.int32),
+        rotor_speed=jnp.maximum(summary.rotor_speed, jnp.max(speeds, axis=0)),
+        saturated=summary.saturated + jnp.sum(active & log.saturated, axis=0, dtype=jnp.int32),
     )
 
 

@@ -30,8 +30,11 @@ def quat_from_rotation(rotation: Float[Array, "3 3"]) -> Float[Array, "4"]:
             jnp.stack([d - b, c + g, f + h, 1.0 - a - e + i]),
         ]
     )
-    largest = jnp.argmax(jnp.diagonal(outer))
-    quat = outer[largest] / (2.0 * jnp.sqrt(outer[largest, largest]))
+    row, square = outer[0], outer[0, 0]
+    for other in range(1, 4):  # selected, not indexed: indices that depend on data cost every lane of a batch a gather
+        larger = outer[other, other] > square
+        row, square = jnp.where(larger, outer[other], row), jnp.where(larger, outer[other, other], square)
+    quat = row / (2.0 * jnp.sqrt(square))
     return jnp.where(quat[0] < 0.0, -quat, quat)
 
 
