@@ -1,7 +1,8 @@
 """Incremental nonlinear dynamic inversion: the tracking controller of Tal & Karaman (IEEE TCST 29(3), 2021).
 
 Rewritten for a world with z up and a body FLU (equation numbers are theirs): thrust is +c b_z, specific thrust
-c > 0. One deviation: they take whichever of yaw and yaw + pi is nearer; here b_x is steered to the yaw itself, with the
+c > 0. Two deviations. The feed-forward of the rates also turns the thrust against the drag's rate, which they leave to
+the feedback. They take whichever of yaw and yaw + pi is nearer; here b_x is steered to the yaw itself, with the
 attitude rule of ``vehicle.flatness``, so that a vehicle that flies backwards does not count as tracking.
 """
 
@@ -11,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 from jaxplan.spline import FlatState
 from jaxplan.tracking.rotor_commands import rotor_commands
 from jaxplan.tracking.sensing import MOMENT, RATES, SPECIFIC_FORCE, THRUST, Sensed
-from jaxplan.vehicle.flatness import attitude_from, body_rates_from
+from jaxplan.vehicle.flatness import against_drag, attitude_from, body_rates_from
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.rotations import length, rotation_vector
 
@@ -50,7 +51,12 @@ def _commanded_angular_acceleration(
     lift = vehicle.thrust_coefficient * jnp.sum(sensed.rotor_speeds**2)
     specific_thrust = jnp.maximum(lift / vehicle.mass, gains.least_specific_thrust)
     rates, feed_forward = body_rates_from(
-        rotation, specific_thrust, reference.jerk, reference.snap, reference.yaw[1], reference.yaw[2]
+        rotation,
+        specific_thrust,
+        against_drag(vehicle, reference).jerk,
+        reference.snap,
+        reference.yaw[1],
+        reference.yaw[2],
     )
     rate_error = rates - sensed.signals.value[RATES]
     dtype = error.dtype

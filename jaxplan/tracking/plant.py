@@ -24,7 +24,7 @@ from jaxplan.tracking.filters import FilterState, filter_step
 from jaxplan.tracking.model import PHYSICS_RATE, Body, Motion, step_body
 from jaxplan.tracking.sensing import Sensed
 from jaxplan.vehicle.allocation import allocation_matrix
-from jaxplan.vehicle.flatness import differential_flatness
+from jaxplan.vehicle.flatness import against_drag, differential_flatness
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.rotations import length, rotation_from_quat
 
@@ -65,9 +65,10 @@ class Noise(NamedTuple):
 
 def state_on_reference(vehicle: Vehicle, reference: FlatState, key: PRNGKeyArray) -> PlantState:
     """The plant as if it had always flown ``reference``: attitude, rates, rotors (within limits), settled filters."""
-    flat = differential_flatness(vehicle, reference)
+    flat = differential_flatness(vehicle, against_drag(vehicle, reference))
     force = reference.acc + vehicle.gravity * jnp.array([0.0, 0.0, 1.0], reference.acc.dtype)
-    value = jnp.stack([force, force, flat.body_rates, flat.moment])
+    thrust = flat.specific_thrust * flat.rotation[:, 2]
+    value = jnp.stack([force, thrust, flat.body_rates, flat.moment])
     rate = jnp.stack([reference.jerk, reference.jerk, flat.angular_acceleration, jnp.zeros_like(force)])
     return PlantState(
         pos=reference.pos,

@@ -69,6 +69,19 @@ def differential_flatness(vehicle: Vehicle, state: FlatState) -> FlatOutputs:
     )
 
 
+def against_drag(vehicle: Vehicle, reference: FlatState) -> FlatState:
+    """The state whose flatness outputs make ``reference`` against the drag of still air: acceleration and jerk hold the
+    drag -c |v| v and its rate too. Snap is left as it is.
+    """
+    vel, acc = reference.vel, reference.acc
+    speed = length(vel)
+    share = vehicle.drag_coefficient / vehicle.mass
+    along = safe_divide(jnp.dot(vel, acc), speed)
+    drag_rate = speed * acc + along * vel
+    derivatives = reference.derivatives.at[2].add(share * speed * vel).at[3].add(share * drag_rate)
+    return FlatState(derivatives=derivatives, yaw=reference.yaw)
+
+
 def attitude_from(force: Float[Array, "3"], yaw: Float[Array, ""]) -> Float[Array, "3 3"]:
     """The attitude (body to world) with b_z along ``force`` [world] and b_x in the vertical plane of ``yaw`` [rad].
 
