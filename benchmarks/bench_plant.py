@@ -8,13 +8,10 @@ thrusts, without rotors, drag, noise or controller; rotorpy flies its own SE(3) 
 """
 
 import argparse
-import json
 import os
-import platform
 import time
 from pathlib import Path
 
-import jax
 import mujoco
 import numpy as np
 from mujoco import rollout
@@ -23,6 +20,8 @@ from jaxplan.minsnap.problem import minimum_snap
 from jaxplan.tracking.model import PHYSICS_RATE, vehicle_mjcf
 from jaxplan.tracking.track import TrackConfig, track
 from jaxplan.vehicle.params import load_vehicle
+
+from ._harness import write
 
 
 def splines_of(count, seconds, rng):
@@ -44,7 +43,12 @@ def flights(batch, seconds, controller, repeats):
         result = track(splines, config=config)
         times.append(time.perf_counter() - began)
     rate = batch / min(times)
-    return {"method": f"track, {controller}", "batch": batch, "flights_per_s": rate, "feasible": result.feasible.mean()}
+    return {
+        "method": f"track, {controller}",
+        "batch": batch,
+        "flights_per_s": rate,
+        "feasible": float(result.feasible.mean()),
+    }
 
 
 def c_mujoco(batch, seconds, threads):
@@ -67,7 +71,7 @@ def c_mujoco(batch, seconds, threads):
 def rotorpy(count, seconds):
     """rotorpy's vehicle and SE(3) controller; None without the extra ``peers``."""
     try:
-        from benchmarks.peer_rotorpy import fly
+        from .peer_rotorpy import fly
 
         splines = splines_of(count, seconds, np.random.default_rng(0))
         began = time.perf_counter()
@@ -80,13 +84,13 @@ def rotorpy(count, seconds):
 
 
 def main(argv=None):
-    """Measure, print and write ``--out``."""
+    """Measure, print and write ``--json``."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--batches", type=int, nargs="+", default=[32, 256, 1024])
     parser.add_argument("--seconds", type=float, default=5.0)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--peers", type=int, default=2, help="flights of rotorpy; 0 leaves it out")
-    parser.add_argument("--out", type=Path, default=Path("benchmarks/results/plant.json"))
+    parser.add_argument("--json", type=Path, help="where the rows are saved")
     options = parser.parse_args(argv)
     threads = os.cpu_count() or 1
     compiling = {}
@@ -105,10 +109,9 @@ def main(argv=None):
         rate = "-" if row["flights_per_s"] is None else f"{row['flights_per_s']:8.1f}"
         print(f"{row['method']:36} batch {row['batch']:5}  {rate} flights of {options.seconds:g} s per second")
     print(f"first call, with compilation: {compiling['indi']:.1f} s")
-    machine = {"processor": platform.processor() or platform.machine(), "cores": threads, "load": os.getloadavg()[0]}
-    report = {"machine": machine, "jax": jax.__version__, "seconds": options.seconds, "first_call_s": compiling}
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(report | {"rows": rows}, indent=1, default=float) + "\n", encoding="utf-8")
+    if options.json is not None:
+        compiled = [{"method": f"first call, {name}", "seconds": seconds} for name, seconds in compiling.items()]
+        write(options.json, rows + compiled)
     return 0
 
 

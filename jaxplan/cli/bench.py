@@ -9,7 +9,7 @@ from jaxplan.errors import ResourceError
 from jaxplan.versions import require_supported_jax
 
 
-def bench(name: Literal["minsnap", "time-allocation"], *, json: str | None = None, debug: bool = False) -> int:
+def bench(name: Literal["minsnap", "time-allocation", "plant"], *, json: str | None = None, debug: bool = False) -> int:
     """Measure a station against its peers, in one run on this machine.
 
     Parameters

@@ -32,8 +32,8 @@ def test_the_benchmark_runs(tmp_path: Path) -> None:
     from benchmarks.bench_plant import main
 
     assert (
-        main(["--batches", "4", "--seconds", "0.5", "--repeats", "1", "--peers", "0", "--out", f"{tmp_path}/a.json"])
+        main(["--batches", "4", "--seconds", "0.5", "--repeats", "1", "--peers", "0", "--json", f"{tmp_path}/a.json"])
         == 0
     )
     report = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
-    assert [row["flights_per_s"] > 0.0 for row in report["rows"]] == [True] * 3
+    assert [row["flights_per_s"] > 0.0 for row in report["rows"] if "flights_per_s" in row] == [True] * 3
