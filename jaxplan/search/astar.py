@@ -12,43 +12,49 @@ of the cost to any one goal, so the search ends only when no open cell can impro
 h(goal_k)). Every path is optimal on its lattice. Goals in another connected component are left out beforehand. A
 budget bounds the number of settled cells; goals whose paths are not proven optimal by then count as not reached.
 
+Two things make it fast. A cell with free surroundings offers itself only to the neighbours for which it can be the
+best way (``graph.onward_steps``): 1 to 7 of 26. And the arrays over all cells are kept per thread and left clean,
+because fresh zeroed memory for a million cells costs more than settling thousands of them.
+
 Only the entry points are cached by numba. They take arrays, numbers and plain tuples, because a cache that names
 classes of an older version cannot be read, and they hold the digest of the sources (``jaxplan.search.compiled``).
 """
 
 import functools
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from jaxplan.search import graph as g
 from jaxplan.search.compiled import entry_point, inner, source_digest
-from jaxplan.search.graph import DIRECT, LENGTHS, NO_ENTRY, STEPS, Frame, Goals, Graph, make_goals, plain
-from jaxplan.search.heap import Heap, make_heap, pop, push
+from jaxplan.search.found import Found, collect_paths, write_paths
+from jaxplan.search.graph import (
+    DIRECT,
+    EVERY_STEP,
+    LENGTHS,
+    NO_ENTRY,
+    NO_STEP,
+    STEPS,
+    Frame,
+    Goals,
+    Graph,
+    make_goals,
+    plain,
+)
+from jaxplan.search.heap import Heap, pop, push
 from jaxplan.search.sight import sees
+from jaxplan.search.workspace import cell_of, clean_up, workspace
 
 _RECHECK = 32
 """Settled cells between updates of the bound that ends the search; arbitrary."""
+
+_ONWARD, _ONWARD_COUNT = g.onward_steps()
 
 _push, _pop = inner(push), inner(pop)
 _index, _flat, _indices = inner(g.index), inner(g.flat), inner(g.indices)
 _centre_of, _neighbour = inner(g.centre_of), inner(g.neighbour)
 _at, _put, _distance = inner(g.at), inner(g.put), inner(g.distance)
-
-
-class Found(NamedTuple):
-    """What one search gives, per goal."""
-
-    cost: Float[np.ndarray, "k"]
-    """Length from the start [m]; inf if not reached."""
-    entry: Int[np.ndarray, "k"]
-    """The last cell before the goal, or ``NO_ENTRY`` or ``DIRECT``."""
-    parent: Int[np.ndarray, "n"]
-    """Each settled cell's predecessor; -1 behind the first cell after the start."""
-    expanded: int
-    """Settled cells."""
 
 
 def search(
@@ -62,29 +68,14 @@ def search(
 
     Points in metres (world frame). ``start`` and the wanted goals must be finite and inside the lattice.
     """
-    cells = graph.moves.size
     centre = goals[wanted].mean(axis=0) if wanted.any() else start.copy()
-    heap = make_heap(cells)
-    lists = make_goals(goals, wanted, centre, cells)
-    cost, parent = np.empty(cells), np.empty(cells, np.int32)
+    space = workspace(graph.moves.size)
+    lists = make_goals(goals, wanted, centre, space.head, space.nearby)
     ends = tuple(start.tolist()), tuple(centre.tolist())
-    expanded = _compiled_search()(plain(graph), tuple(heap), tuple(lists), cost, parent, *ends, budget)
-    return Found(cost=lists.cost, entry=lists.entry, parent=parent, expanded=int(expanded))
-
-
-def write_paths(
-    graph: Graph,
-    found: Found,
-    head: Float[np.ndarray, "h 3"],
-    goals: Float[np.ndarray, "k 3"],
-    points: Float[np.ndarray, "k capacity 3"],
-    count: Int[np.ndarray, "k"],
-) -> None:
-    """Write the path of every reached goal into its row of ``points``: ``head``, cell centres, goal, the goal repeated.
-
-    ``count`` becomes the number of points of the whole path; where that exceeds the capacity the row is its prefix.
-    """
-    _compiled_write()(tuple(graph.frame), found.parent, found.entry, head, goals, points, count)
+    expanded, cells, first = _compiled_search()(
+        plain(graph), tuple(space.heap), tuple(lists), space.cost, space.arrival, *ends, budget
+    )
+    return Found(cost=lists.cost, entry=lists.entry, cells=cells, first=first, expanded=int(expanded))
 
 
 def warmup() -> None:
@@ -96,37 +87,29 @@ def warmup() -> None:
 
 
 @functools.cache
-def _compiled_search() -> Callable[..., int]:
+def _compiled_search() -> Callable[..., tuple[int, np.ndarray, np.ndarray]]:
     version = source_digest()
 
     @entry_point
-    def entry(graph, heap, goals, cost, parent, start, centre, budget):  # type: ignore[no-untyped-def]
-        """Name the parts of the plain tuples and search; returns the number of settled cells."""
+    def entry(graph, heap, goals, cost, arrival, start, centre, budget):  # type: ignore[no-untyped-def]
+        """Name the parts of the plain tuples and search; returns the number of settled cells and all paths."""
         _ = version
         moves, components, frame, fine, fine_frame = graph
         graph = Graph(moves, components, Frame(*frame), fine, Frame(*fine_frame))
-        return _settle_all(graph, Heap(*heap), Goals(*goals), cost, parent, start, centre, budget)
-
-    return entry  # type: ignore[no-any-return]
-
-
-@functools.cache
-def _compiled_write() -> Callable[..., None]:
-    version = source_digest()
-
-    @entry_point
-    def entry(frame, parents, entries, head, goals, points, count):  # type: ignore[no-untyped-def]
-        _ = version
-        _write_paths(Frame(*frame), parents, entries, head, goals, points, count)
+        heap, goals = Heap(*heap), Goals(*goals)
+        expanded = _settle_all(graph, heap, goals, cost, arrival, start, centre, budget)
+        cells, first = collect_paths(graph.frame, goals, arrival)
+        clean_up(graph.frame, heap, goals, expanded)
+        return expanded, cells, first
 
     return entry  # type: ignore[no-any-return]
 
 
 @inner
-def _settle_all(graph, heap, goals, cost, parent, start, centre, budget):  # type: ignore[no-untyped-def]
-    """Settle cells in order of f; returns their number."""
+def _settle_all(graph, heap, goals, cost, arrival, start, centre, budget):  # type: ignore[no-untyped-def]
+    """Settle cells in order of f; returns their number. They are kept at the end of ``heap.cells``, latest first."""
     _list_goals(graph, goals)
-    _open_around_start(graph, heap, goals, cost, parent, start, centre)
+    _open_around_start(graph, heap, goals, cost, arrival, start, centre)
     remaining = _drop_unreachable(graph, heap, goals)
     expanded, bound = 0, np.inf
     while remaining > 0 and heap.size[0] > 0 and expanded < budget:
@@ -134,9 +117,10 @@ def _settle_all(graph, heap, goals, cost, parent, start, centre, budget):  # typ
             break
         cell = _pop(heap)
         expanded += 1
+        heap.cells[len(heap.cells) - expanded] = cell
         if goals.nearby[cell]:
             _improve_goals(graph, goals, cell, cost[cell])
-        _relax(graph, heap, cost, parent, cell, centre)
+        _relax(graph, heap, cost, arrival, cell, centre)
         if expanded % _RECHECK == 0:
             bound = _bound(goals)
     _forget_unproven(goals, heap.keys[1] if heap.size[0] > 0 else np.inf)
@@ -150,7 +134,7 @@ def _list_goals(graph, goals):  # type: ignore[no-untyped-def]
     for k in range(len(goals.points)):
         if not goals.wanted[k]:
             continue
-        i, j, m = _cell_of(graph.frame, _at(goals.points, k))
+        i, j, m = cell_of(graph.frame, _at(goals.points, k))
         cell = _flat(graph.frame, i, j, m)
         other = goals.head[cell]
         while other > 0 and _at(goals.points, k) != _at(goals.points, other - 1):
@@ -168,9 +152,9 @@ def _list_goals(graph, goals):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _open_around_start(graph, heap, goals, cost, parent, start, centre):  # type: ignore[no-untyped-def]
+def _open_around_start(graph, heap, goals, cost, arrival, start, centre):  # type: ignore[no-untyped-def]
     """Open the free cells that the start sees, and join the goals next to it directly."""
-    i, j, m = _cell_of(graph.frame, start)
+    i, j, m = cell_of(graph.frame, start)
     for number in range(27):
         cell = _neighbour(graph.frame, i, j, m, number)
         if cell < 0:
@@ -184,7 +168,7 @@ def _open_around_start(graph, heap, goals, cost, parent, start, centre):  # type
         middle = _centre_of(graph.frame, *_indices(graph.frame, cell))
         if graph.components[cell] > 0 and sees(graph.fine, graph.fine_frame, start, middle):
             cost[cell] = _distance(start, middle)
-            parent[cell] = -1
+            arrival[cell] = NO_STEP
             _push(heap, cell, cost[cell] + _distance(middle, centre))
 
 
@@ -195,7 +179,7 @@ def _drop_unreachable(graph, heap, goals):  # type: ignore[no-untyped-def]
     for k in range(len(goals.points)):
         if not goals.wanted[k]:
             continue
-        i, j, m = _cell_of(graph.frame, _at(goals.points, k))
+        i, j, m = cell_of(graph.frame, _at(goals.points, k))
         reachable = goals.entry[k] == DIRECT or _is_open_component(graph, heap, _flat(graph.frame, i, j, m))
         if not reachable:
             reachable = _sees_open_component(graph, heap, i, j, m, _at(goals.points, k))
@@ -246,11 +230,13 @@ def _improve_goals(graph, goals, cell, cost):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _relax(graph, heap, cost, parent, cell, centre):  # type: ignore[no-untyped-def]
+def _relax(graph, heap, cost, arrival, cell, centre):  # type: ignore[no-untyped-def]
     """Offer a settled cell as the predecessor of its neighbours."""
     i, j, m = _indices(graph.frame, cell)
     moves = graph.moves[cell]
-    for bit in range(26):
+    came = arrival[cell] if moves == EVERY_STEP else NO_STEP
+    for number in range(_ONWARD_COUNT[came]):
+        bit = _ONWARD[came, number]
         if not (moves >> np.uint32(bit)) & np.uint32(1):
             continue
         a, b, c = i + STEPS[bit, 0], j + STEPS[bit, 1], m + STEPS[bit, 2]
@@ -261,7 +247,7 @@ def _relax(graph, heap, cost, parent, cell, centre):  # type: ignore[no-untyped-
         offered = cost[cell] + LENGTHS[bit] * graph.frame.h
         if place == 0 or offered < cost[other]:
             cost[other] = offered
-            parent[other] = cell
+            arrival[other] = bit
             _push(heap, other, offered + _distance(_centre_of(graph.frame, a, b, c), centre))
 
 
@@ -288,34 +274,3 @@ def _share_with_aliases(goals):  # type: ignore[no-untyped-def]
     for k in range(len(goals.points)):
         goals.cost[k] = goals.cost[goals.alias[k]]
         goals.entry[k] = goals.entry[goals.alias[k]]
-
-
-@inner
-def _write_paths(frame, parents, entries, head, goals, points, count):  # type: ignore[no-untyped-def]
-    capacity = points.shape[1]
-    for k in range(len(goals)):
-        if entries[k] == NO_ENTRY:
-            continue
-        cells, cell = 0, entries[k]
-        while cell >= 0:
-            cells, cell = cells + 1, parents[cell]
-        total = len(head) + cells + 1
-        count[k] = total
-        for position in range(min(len(head), capacity)):
-            _put(points, k, position, _at(head, position))
-        position, cell = len(head) + cells - 1, entries[k]
-        while cell >= 0:
-            if position < capacity:
-                _put(points, k, position, _centre_of(frame, *_indices(frame, cell)))
-            position, cell = position - 1, parents[cell]
-        for position in range(total - 1, capacity):
-            _put(points, k, position, _at(goals, k))
-
-
-@inner
-def _cell_of(frame, p):  # type: ignore[no-untyped-def]
-    return (
-        _index(p[0], frame.x, frame.h, frame.nx),
-        _index(p[1], frame.y, frame.h, frame.ny),
-        _index(p[2], frame.z, frame.h, frame.nz),
-    )

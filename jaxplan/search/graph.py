@@ -15,6 +15,11 @@ STEPS = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1
 LENGTHS = np.linalg.norm(STEPS, axis=1)
 """Length of each step, in cells."""
 
+EVERY_STEP = np.uint32(2**26 - 1)
+"""The ``moves`` of a cell that is free with all of its neighbours."""
+NO_STEP = 26
+"""Where a step is stored: none led here."""
+
 NO_ENTRY = -1
 """The goal was not reached."""
 DIRECT = -2
@@ -86,6 +91,37 @@ def _both(free: Bool[np.ndarray, "x y z"], axis: int, step: int) -> Bool[np.ndar
     return free if step == 0 else free & np.roll(free, -step, axis=axis)
 
 
+def onward_steps() -> tuple[Int[np.ndarray, "27 26"], Int[np.ndarray, "27"]]:
+    """The steps e worth taking after a step d through free surroundings, in order, and their number; all 26 after none.
+
+    From the cell before, p, to the one after, p + d + e, there may be another way over a neighbour y of the middle. If
+    it is shorter, or as short with a shorter last step, e is left out. Optimal costs survive: among the optimal
+    predecessors of a cell take one whose step to it is shortest; whatever precedes that one, no y can replace it.
+    (Natural neighbours of jump point search, Harabor and Grastien 2011, without its jumps.)
+    """
+    steps, counts = np.zeros((27, 26), np.int64), np.zeros(27, np.int64)
+    for d in range(27):
+        kept = [e for e in range(26) if d == NO_STEP or not _has_better_way(STEPS[d], STEPS[e])]
+        steps[d, : len(kept)], counts[d] = kept, len(kept)
+    return steps, counts
+
+
+def _has_better_way(d: Int[np.ndarray, "3"], e: Int[np.ndarray, "3"]) -> bool:
+    """Whether a way from -d to e over the neighbours of 0, but not over 0, makes the step e after d needless."""
+    rounding = 1e-9
+    length = np.linalg.norm(d) + np.linalg.norm(e)
+    if np.abs(d + e).max() <= 1:  # back, or beside: one step or none
+        return True
+    for y in STEPS:
+        first, last = y + d, e - y
+        if 0 < np.abs(first).max() <= 1 and 0 < np.abs(last).max() <= 1:
+            saved = length - np.linalg.norm(first) - np.linalg.norm(last)
+            shorter_last = np.linalg.norm(last) < np.linalg.norm(e) - rounding
+            if saved > rounding or (saved > -rounding and shorter_last):
+                return True
+    return False
+
+
 def index(x, origin, h, count):  # type: ignore[no-untyped-def]
     """The cell along one axis; the nearest one for a point on or beyond the lattice's outer faces."""
     return min(max(math.floor((x - origin) / h), 0), count - 1)
@@ -106,23 +142,30 @@ class Goals(NamedTuple):
     """The first goal at the same point; itself if there is none."""
     heuristic: np.ndarray
     wanted: np.ndarray
+    listed: np.ndarray
+    """The goals that were wanted at first; those in the lists, and their aliases."""
 
 
 def make_goals(
-    points: Float[np.ndarray, "k 3"], wanted: Bool[np.ndarray, "k"], centre: Float[np.ndarray, "3"], cells: int
+    points: Float[np.ndarray, "k 3"],
+    wanted: Bool[np.ndarray, "k"],
+    centre: Float[np.ndarray, "3"],
+    head: Int[np.ndarray, "n"],
+    nearby: Bool[np.ndarray, "n"],
 ) -> Goals:
-    """Goals [m, world] that are not listed yet, for a lattice of ``cells`` cells; ``centre``: where h is 0."""
+    """Goals [m, world] that are not listed yet; ``centre``: where h is 0; ``head`` and ``nearby``: zeros."""
     count = len(points)
     return Goals(
         points=points,
-        head=np.zeros(cells, np.int32),
+        head=head,
         following=np.zeros(count, np.int32),
-        nearby=np.zeros(cells, np.bool_),
+        nearby=nearby,
         cost=np.full(count, np.inf),
         entry=np.full(count, NO_ENTRY, np.int64),
         alias=np.arange(count),
         heuristic=np.linalg.norm(points - centre, axis=1),
         wanted=wanted.copy(),
+        listed=wanted,
     )
 
 

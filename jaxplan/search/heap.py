@@ -19,7 +19,7 @@ class Heap(NamedTuple):
 
 
 def make_heap(cells: int) -> Heap:
-    """An empty heap for cells 0 .. cells - 1. Zeroed pages cost nothing until they are touched."""
+    """An empty heap for cells 0 .. cells - 1."""
     return Heap(
         keys=np.empty(cells + 1),
         cells=np.empty(cells + 1, np.int32),

@@ -4,7 +4,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxplan.errors import InputError
-from jaxplan.search.lattice import Lattices, find_paths
+from jaxplan.search.lattice import Lattices
+from jaxplan.search.paths import find_paths
 from jaxplan.world.obstacles import World
 from jaxplan.world.occupancy import cell_centres
 

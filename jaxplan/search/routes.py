@@ -17,18 +17,8 @@ from jaxtyping import Float
 from jaxplan.numerics import in_float64
 from jaxplan.search import astar
 from jaxplan.search.graph import NO_ENTRY
-from jaxplan.search.lattice import (
-    Lattices,
-    Paths,
-    Request,
-    choose_level,
-    finish,
-    grid_frame,
-    level_graph,
-    mark_finer,
-    open_request,
-    warm_up_clearance,
-)
+from jaxplan.search.lattice import Lattices, Paths, choose_level, grid_frame, level_graph
+from jaxplan.search.request import Request, finish, mark_finer, open_request, warm_up_clearance
 from jaxplan.search.shorten import write_straight, write_taut
 from jaxplan.world.obstacles import World
 

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxplan.search import graph as g
-from jaxplan.search.astar import Found
 from jaxplan.search.compiled import entry_point, inner, source_digest
+from jaxplan.search.found import Found
 from jaxplan.search.graph import NO_ENTRY, Frame, Graph
 from jaxplan.search.lattice import Lattices, Paths, grid_frame
 from jaxplan.search.sight import sees
@@ -66,8 +66,7 @@ def write_taut(
     ``count`` becomes the number of points of the whole path; where that exceeds the capacity the row is its prefix.
     """
     frames = tuple(graph.frame), tuple(graph.fine_frame)
-    longest = len(head) + 1 + graph.moves.size
-    _compiled_taut()(*frames, found.parent, found.entry, occupied, head, goals, points, count, length, longest)
+    _compiled_taut()(*frames, found.cells, found.first, found.entry, occupied, head, goals, points, count, length)
 
 
 @functools.cache
@@ -111,13 +110,13 @@ def _compiled_taut() -> Callable[..., None]:
     version = source_digest()
 
     @entry_point
-    def entry(frame, fine, parents, entries, occupied, head, goals, points, count, length, longest):  # type: ignore[no-untyped-def]
+    def entry(frame, fine, cells, first, entries, occupied, head, goals, points, count, length):  # type: ignore[no-untyped-def]
         _ = version
         frame, fine = Frame(*frame), Frame(*fine)
-        path = np.empty((longest, 3))
+        path = np.empty((len(head) + np.diff(first).max() + 1, 3))
         for k in range(len(goals)):
             if entries[k] != NO_ENTRY:
-                last = _unroll(frame, parents, entries[k], head, path)
+                last = _unroll(frame, cells, first[k], first[k + 1], head, path)
                 _copy(path, last, goals, k)
                 kept = _pull_taut(path, last + 1, occupied, fine)
                 length[k] = 0.0
@@ -137,19 +136,15 @@ def _copy(to, i, source, j):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _unroll(frame, parents, entry, head, path):  # type: ignore[no-untyped-def]
-    """Write the head and the centres of the cells up to ``entry``; returns their number."""
-    cells, cell = 0, entry
-    while cell >= 0:
-        cells, cell = cells + 1, parents[cell]
+def _unroll(frame, cells, begin, end, head, path):  # type: ignore[no-untyped-def]
+    """Write the head and the centres of the cells from ``begin`` to ``end``; returns their number."""
     for i in range(len(head)):
         _copy(path, i, head, i)
-    position, cell = len(head) + cells - 1, entry
-    while cell >= 0:
-        x, y, z = _centre_of(frame, *_indices(frame, cell))
-        path[position, 0], path[position, 1], path[position, 2] = x, y, z
-        position, cell = position - 1, parents[cell]
-    return len(head) + cells
+    for i in range(end - begin):
+        x, y, z = _centre_of(frame, *_indices(frame, cells[begin + i]))
+        row = len(head) + i
+        path[row, 0], path[row, 1], path[row, 2] = x, y, z
+    return len(head) + end - begin
 
 
 @inner

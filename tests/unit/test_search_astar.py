@@ -7,7 +7,8 @@ import pytest
 from scipy import ndimage
 
 from jaxplan.search import astar
-from jaxplan.search.graph import NO_ENTRY, STEPS, Graph, make_frame, permitted_moves
+from jaxplan.search.graph import NO_ENTRY, NO_STEP, STEPS, Graph, make_frame, onward_steps, permitted_moves
+from jaxplan.search.workspace import workspace
 from oracles.search_dijkstra import STEPS as ORACLE_STEPS
 from oracles.search_dijkstra import grid_edges, number, shortest
 from oracles.search_sight import crossed_cells
@@ -72,6 +73,50 @@ def test_costs_equal_dijkstra_on_random_maps(seed: int, factor: int) -> None:
     np.testing.assert_array_equal(found.entry == NO_ENTRY, ~np.isfinite(found.cost))
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_costs_equal_dijkstra_where_most_cells_have_free_surroundings(seed: int) -> None:
+    """Where a cell offers itself to few neighbours only; also with any share of the cells settled."""
+    rng = np.random.default_rng(seed)
+    occupied = rng.random((13, 12, 9)) < 0.01
+    graph = make_graph(occupied)
+    assert (graph.moves == 2**26 - 1).mean() > 0.3
+    start, goals = free_points(rng, occupied, 1, 1.0)[0], free_points(rng, occupied, 30, 1.0)
+    expected = oracle_costs(occupied, occupied, 1.0, start, goals)
+    for budget in (10_000, 600, 200):
+        found = astar.search(graph, start, goals, np.ones(30, bool), budget)
+        reached = found.entry != NO_ENTRY
+        assert_close(found.cost[reached], expected[reached], "formula")
+        assert budget < 10_000 or reached.all()
+
+
+def test_onward_steps_are_the_natural_neighbours() -> None:
+    """1 after a straight step, 3 after a diagonal one, 7 after a space diagonal, all at the start; always ahead."""
+    steps, counts = onward_steps()
+    np.testing.assert_array_equal(counts, [*(np.array([0, 1, 3, 7])[np.abs(STEPS).sum(axis=1)]), 26])
+    for d in range(26):
+        kept = STEPS[steps[d, : counts[d]]]
+        assert (np.abs(kept) <= np.abs(STEPS[d])).all()
+        assert (kept * STEPS[d] >= 0).all()
+    np.testing.assert_array_equal(steps[NO_STEP], range(26))
+
+
+def test_arrays_over_all_cells_are_left_clean() -> None:
+    """A search in a smaller room after one that was cut short in a larger one, and the arrays themselves."""
+    rng = np.random.default_rng(5)
+    rooms = [rng.random(shape) < 0.1 for shape in ((20, 20, 8), (6, 5, 4))]
+    queries = [(make_graph(room), *free_points(rng, room, 2, 1.0)) for room in rooms]
+    alone = astar.search(queries[1][0], queries[1][1], queries[1][2][None], np.ones(1, bool), 10_000)
+    for graph, start, goal in (*queries, queries[1]):
+        found = astar.search(graph, start, np.stack([goal, goal]), np.ones(2, bool), 25)
+    assert (found.cost == alone.cost).all()
+    np.testing.assert_array_equal(found.cells[: found.first[1]], alone.cells)
+    space = workspace(1)
+    assert space.cost.size >= 20 * 20 * 8
+    assert not space.heap.place.any()
+    assert not space.head.any()
+    assert not space.nearby.any()
+
+
 @pytest.mark.slow
 def test_costs_equal_dijkstra_on_a_thousand_maps() -> None:
     for seed in range(1000):
@@ -115,6 +160,36 @@ def test_published_maze(examples) -> None:  # type: ignore[no-untyped-def]
     )
     found = astar.search(cutting, start, goals, np.ones(1, bool), 1000)
     np.testing.assert_allclose(found.cost[0], 21.17084392, atol=5e-9)  # the published digits
+
+
+@pytest.mark.parametrize("corner_cutting", [False, True])
+def test_published_corridor(examples, corner_cutting: bool) -> None:  # type: ignore[no-untyped-def]
+    """A plane lattice with 8 neighbours; the published length is optimal with and without cut corners."""
+    text = (examples / "maps" / "jps_corridor.yaml").read_text()
+    numbers = {
+        name: np.array([float(value) for value in re.search(rf"- {name}: \[?([^\]\n]*)", text)[1].split(",")])
+        for name in ("start", "goal", "origin", "dim", "resolution", "data")
+    }
+    nx, ny = numbers["dim"].astype(int)
+    h = float(numbers["resolution"][0])
+    occupied = (numbers["data"].reshape(ny, nx).T > 0)[:, :, None]
+    graph = make_graph(occupied, h=h)
+    if corner_cutting:
+        graph = graph._replace(moves=moves_with_cut_corners(occupied))
+    start, goal = (
+        np.append((np.floor((numbers[name] - numbers["origin"]) / h) + 0.5) * h, 0.5 * h) for name in ("start", "goal")
+    )
+    found = astar.search(graph, start, goal[None], np.ones(1, bool), 1_000_000)
+    np.testing.assert_allclose(found.cost[0], 35.109545, atol=5e-7)  # the published digits
+
+
+def moves_with_cut_corners(occupied: np.ndarray) -> np.ndarray:
+    """Every step between free cells."""
+    free, moves = np.pad(~occupied, 1), np.zeros(occupied.shape, np.uint32)
+    for bit, step in enumerate(STEPS.tolist()):
+        both = free & np.roll(free, [-s for s in step], (0, 1, 2))
+        moves |= both[1:-1, 1:-1, 1:-1].astype(np.uint32) << np.uint32(bit)
+    return moves.reshape(-1)
 
 
 def test_moves_are_the_oracle_edges() -> None:

@@ -5,7 +5,8 @@ import pytest
 
 from jaxplan.errors import InputError
 from jaxplan.records import replace
-from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices, choose_level, find_paths
+from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices, choose_level
+from jaxplan.search.paths import find_paths
 from jaxplan.status import Note, Reason
 from jaxplan.world.clearance import clearance
 from jaxplan.world.obstacles import World, aligned_boxes, make_obstacles

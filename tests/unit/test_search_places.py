@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from jaxplan.errors import InputError
-from jaxplan.search.lattice import build_lattices, find_paths
+from jaxplan.search.lattice import build_lattices
+from jaxplan.search.paths import find_paths
 from jaxplan.search.places import reachable_place
 from jaxplan.world.obstacles import World, aligned_boxes, make_obstacles
 from jaxplan.world.scene import load_world

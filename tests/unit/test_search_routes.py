@@ -11,7 +11,8 @@ from scipy import ndimage
 
 from jaxplan.search import astar, shorten
 from jaxplan.search.compiled import source_digest
-from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices, find_paths
+from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
+from jaxplan.search.paths import find_paths
 from jaxplan.search.routes import find_routes, warmup
 from jaxplan.status import Note, Reason
 from jaxplan.world.clearance import clearance

@@ -5,7 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from jaxplan.search.lattice import Lattices, build_lattices, find_paths
+from jaxplan.search.lattice import Lattices, build_lattices
+from jaxplan.search.paths import find_paths
 from jaxplan.search.shorten import shorten
 from jaxplan.status import Reason
 from jaxplan.world.obstacles import World
