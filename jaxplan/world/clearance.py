@@ -3,7 +3,7 @@
 Primitives: exact signed distance (negative inside). With q the excess of a point over a box or a cylinder along each
 of its own axes, the distance is ``|max(q, 0)| + min(max_i q_i, 0)``: outside and inside parts. Over many primitives
 the squared outside parts and the inside parts are minimised apart, so one square root serves all boxes, cylinders and
-planes.
+planes. The derivative is that of the nearest primitive alone.
 
 Meshes and voxels: a lower bound from the exact squared distances D_i at the grid nodes n_i. Squared distance to any
 set is ``|p|^2`` plus a concave function of p (a minimum of affine ones), so by Jensen's inequality the trilinear
@@ -16,7 +16,8 @@ Precision: float64 where the caller's JAX has 64-bit types enabled. Layout: the 
 that each primitive is one vectorised pass over the points.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -24,8 +25,11 @@ from jaxtyping import Array, Float
 
 from jaxplan.world.obstacles import Boxes, Capsules, Cylinders, DistanceGrid, Mesh, Obstacles, Planes, Spheres, World
 
+_FEW = 32
+"""Up to so many primitives of a kind are one pass over the points; measured, it halves the time of 400 x 100 points in
+environment 3, and more take seconds to compile."""
 _UNROLL = 8
-"""Primitives per pass over the points; measured, 4 to 16 are alike."""
+"""Primitives per pass where there are more; measured, 4 to 16 are alike."""
 
 
 class _Nearest(NamedTuple):
@@ -33,6 +37,10 @@ class _Nearest(NamedTuple):
 
     outside: Array
     inside: Array
+
+
+_T = TypeVar("_T")
+_Distance = Callable[[Any, "_Points"], _Nearest]
 
 
 class _Points(NamedTuple):
@@ -52,13 +60,8 @@ def clearance(world: World | Obstacles, points: Float[Array, "*batch 3"]) -> Flo
     points = jnp.asarray(points)
     finite = jnp.isfinite(points).all(axis=-1)
     p = _Points(*(jnp.where(finite, points[..., axis], 0.0) for axis in range(3)))
-    nearest = _Nearest(jnp.full(finite.shape, jnp.inf, points.dtype), jnp.zeros(finite.shape, points.dtype))
-    nearest = _over_primitives(_box, obstacles.boxes, p, nearest)
-    nearest = _over_primitives(_cylinder, obstacles.cylinders, p, nearest)
-    nearest = _over_primitives(_plane, obstacles.planes, p, nearest)
-    nearest = _over_primitives(_sphere, obstacles.spheres, p, nearest)
-    nearest = _over_primitives(_capsule, obstacles.capsules, p, nearest)
-    distance = _sqrt(nearest.outside) + nearest.inside
+    kinds = obstacles.boxes, obstacles.cylinders, obstacles.planes, obstacles.spheres, obstacles.capsules
+    distance = _to_primitives(jax.tree.map(lambda leaf: jnp.asarray(leaf, points.dtype), kinds), p)
     if obstacles.mesh is not None:
         distance = jnp.minimum(distance, _grid_distance(obstacles.mesh, p))
     if obstacles.voxels is not None:
@@ -73,19 +76,73 @@ def wall_clearance(world: World, points: Float[Array, "*batch 3"]) -> Float[Arra
     return jnp.minimum(points - lower, upper - points).min(axis=-1)
 
 
-def _over_primitives(distance, primitives, p: _Points, nearest: _Nearest) -> _Nearest:  # type: ignore[no-untyped-def]
-    """Merge all primitives of one kind into ``nearest``; ``distance`` maps one of them and the points to a _Nearest."""
-    count = jax.tree.leaves(primitives)[0].shape[0]
+@jax.custom_jvp
+def _to_primitives(kinds: tuple, p: _Points) -> Array:
+    """Signed distance to the nearest primitive; inf where there is none."""
+    nearest = _Nearest(jnp.full_like(p.x, jnp.inf), jnp.zeros_like(p.x))
+    for distance, primitives in zip(_DISTANCES, kinds, strict=True):
+
+        def merge(so_far: _Nearest, primitive: object, distance: _Distance = distance) -> tuple[_Nearest, None]:
+            found = distance(primitive, p)
+            outside = jnp.minimum(so_far.outside, found.outside)
+            return _Nearest(outside, jnp.minimum(so_far.inside, found.inside)), None
+
+        nearest = _over_primitives(merge, nearest, primitives)
+    return _signed(nearest)
+
+
+@_to_primitives.defjvp
+def _to_primitives_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    """The derivative of the distance to the one primitive that is nearest to each point."""
+    kinds, p = primals
+    pairs = list(zip(_DISTANCES, kinds, strict=True))
+    nearest = [_index_of_nearest(distance, primitives, p) for distance, primitives in pairs]
+
+    def to_nearest(kinds: tuple, p: _Points) -> Array:
+        best = jnp.full_like(p.x, jnp.inf)
+        for distance, primitives, index in zip(_DISTANCES, kinds, nearest, strict=True):
+            if _count(primitives):
+                chosen = jax.tree.map(
+                    lambda leaf, at=index: jnp.take(jnp.moveaxis(leaf, 0, -1), at, -1, mode="clip"), primitives
+                )
+                best = jnp.minimum(best, _signed(distance(chosen, p)))
+        return best
+
+    return jax.jvp(to_nearest, primals, tangents)
+
+
+def _index_of_nearest(distance: _Distance, primitives: object, p: _Points) -> Array:
+    """For each point the number of the nearest primitive of one kind, 0 if there is none."""
+
+    def compare(so_far: tuple[Array, Array], numbered: tuple[Array, object]) -> tuple[tuple[Array, Array], None]:
+        number, primitive = numbered
+        value = _signed(distance(primitive, p))
+        closer = value < so_far[0]
+        return (jnp.where(closer, value, so_far[0]), jnp.where(closer, number, so_far[1])), None
+
+    start = jnp.full_like(p.x, jnp.inf), jnp.zeros(p.x.shape, jnp.int32)
+    return _over_primitives(compare, start, primitives, numbered=True)[1]
+
+
+def _over_primitives(merge: Callable, start: _T, primitives: object, numbered: bool = False) -> _T:
+    """``merge`` every primitive of one kind into ``start``, one after the other.
+
+    ``numbered`` ones in as many passes: XLA would otherwise repeat the whole comparison at every use of the number.
+    """
+    count = _count(primitives)
     if count == 0:
-        return nearest
+        return start
+    rows = (jnp.arange(count, dtype=jnp.int32), primitives) if numbered else primitives
+    passes = 1 if numbered else count if count <= _FEW else _UNROLL
+    return jax.lax.scan(merge, start, rows, unroll=passes)[0]
 
-    def merge(nearest: _Nearest, primitive: object) -> tuple[_Nearest, None]:
-        found = distance(primitive, p)
-        return _Nearest(jnp.minimum(nearest.outside, found.outside), jnp.minimum(nearest.inside, found.inside)), None
 
-    dtype = nearest.outside.dtype
-    primitives = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), primitives)
-    return jax.lax.scan(merge, nearest, primitives, unroll=min(count, _UNROLL))[0]
+def _count(primitives: object) -> int:
+    return int(jax.tree.leaves(primitives)[0].shape[0])
+
+
+def _signed(nearest: _Nearest) -> Array:
+    return _sqrt(nearest.outside) + nearest.inside
 
 
 def _box(box: Boxes, p: _Points) -> _Nearest:
@@ -121,6 +178,10 @@ def _capsule(capsule: Capsules, p: _Points) -> _Nearest:
     along, across = _along_and_across(capsule.center, capsule.axis, p)
     beyond = jnp.maximum(jnp.abs(along) - capsule.half_length, 0.0)
     return _from_signed(_sqrt(across + beyond * beyond) - capsule.radius)
+
+
+_DISTANCES: tuple[_Distance, ...] = (_box, _cylinder, _plane, _sphere, _capsule)
+"""In the order of the kinds in ``clearance``; each maps one primitive and the points to a ``_Nearest``."""
 
 
 def _along_and_across(center: Float[Array, "3"], axis: Float[Array, "3"], p: _Points) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from jaxplan.records import replace
 from jaxplan.world.clearance import clearance, wall_clearance
 from jaxplan.world.mesh import mesh_with_distances
 from jaxplan.world.obstacles import (
@@ -22,6 +23,7 @@ from jaxplan.world.obstacles import (
     make_obstacles,
 )
 from jaxplan.world.scene import ENVIRONMENTS, environment_path, load_world
+from jaxplan.world.voxels import distance_grid
 from oracles import world_distance
 from tolerances import assert_close
 
@@ -168,6 +170,61 @@ def test_a_world_is_a_jit_argument_and_compiles_once(compilations) -> None:  # t
     compilations.count = 0
     function(load_world("env1"), points + 0.0).block_until_ready()
     assert compilations.count <= 1  # the addition
+
+
+def central_differences(obstacles: Obstacles, points: np.ndarray, step: float) -> np.ndarray:
+    slopes = [
+        np.asarray(compiled(obstacles, points + axis) - compiled(obstacles, points - axis)) for axis in step * np.eye(3)
+    ]
+    return np.stack(slopes, axis=-1) / (2.0 * step)
+
+
+compiled_gradient_of_points = jax.jit(jax.grad(lambda points, obstacles: clearance(obstacles, points).sum()))
+
+
+def test_gradient_equals_finite_differences() -> None:
+    """Apart from the few points between two nearest surfaces."""
+    obstacles = random_obstacles(11, count=12)
+    points = np.random.default_rng(12).uniform(-3.0, 3.0, (400, 3))
+    gradient = np.asarray(compiled_gradient_of_points(points, obstacles))
+    agree = np.isclose(gradient, central_differences(obstacles, points, 1e-6), atol=1e-5).all(axis=1)
+    assert agree.mean() > 0.99
+
+
+def test_gradient_towards_obstacles_equals_finite_differences() -> None:
+    """Moving and growing all boxes: the derivative of the sum over many points."""
+    obstacles = make_obstacles(boxes=random_obstacles(13).boxes)
+    points = np.random.default_rng(14).uniform(-3.0, 3.0, (300, 3))
+    towards = jax.grad(lambda obstacles: compiled(obstacles, points).sum())(obstacles).boxes
+
+    def moved(amount: float) -> float:
+        boxes = obstacles.boxes
+        changed = Boxes(center=boxes.center + amount, half=boxes.half * (1 + amount), rotation=boxes.rotation)
+        return float(compiled(replace(obstacles, boxes=changed), points).sum())
+
+    slope = (moved(1e-6) - moved(-1e-6)) / 2e-6
+    assert_close(np.sum(towards.center) + np.sum(towards.half * obstacles.boxes.half), slope, "gradient")
+
+
+@pytest.mark.parametrize("kind", ["voxels", "mesh"])
+def test_gradient_of_grids_equals_finite_differences(kind: str) -> None:
+    """Inside cells of the distance grid, where the bound is smooth and above 0."""
+    rng = np.random.default_rng(15)
+    if kind == "voxels":
+        grid = distance_grid(rng.random((20, 18, 12)) < 0.01, np.zeros(3), 0.1)
+    else:
+        grid = mesh_with_distances(*tetrahedron_and_shelf())
+    obstacles = make_obstacles(**{kind: grid})
+    shape = np.array(grid.squared.shape)
+    cells = rng.integers(0, shape - 1, (500, 3)) + rng.uniform(0.05, 0.95, (500, 3))
+    points = np.asarray(grid.origin) + cells * float(grid.spacing)
+    points = points[np.asarray(compiled(obstacles, points)) > 0.02]
+    assert len(points) > 300
+    gradient = np.asarray(compiled_gradient_of_points(points, obstacles))
+    np.testing.assert_allclose(gradient, central_differences(obstacles, points, 1e-6), atol=1e-5)
+    outside = points + np.array([0.0, 0.0, 10.0])
+    gradient = np.asarray(compiled_gradient_of_points(outside, obstacles))
+    np.testing.assert_allclose(gradient, central_differences(obstacles, outside, 1e-6), atol=1e-5)
 
 
 def tetrahedron_and_shelf() -> tuple[np.ndarray, np.ndarray]:
