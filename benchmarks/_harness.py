@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
-PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "minsnap-trajectories", "rotorpy")
+PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "numba", "scikit-image", "minsnap-trajectories", "rotorpy")
 
 
 def timed(function: Callable[..., Any], *arguments: Any, repeats: int = 20) -> dict[str, float]:

@@ -8,8 +8,16 @@ from typing import Any, Literal
 from jaxplan.errors import ResourceError
 from jaxplan.versions import require_supported_jax
 
+Benchmark = Literal[
+    "minsnap",
+    "plant",
+    "search",
+    "time-allocation",
+]
+"""Each is a file benchmarks/bench_<name>.py."""
 
-def bench(name: Literal["minsnap", "time-allocation", "plant"], *, json: str | None = None, debug: bool = False) -> int:
+
+def bench(name: Benchmark, *, json: str | None = None, debug: bool = False) -> int:
     """Measure a station against its peers, in one run on this machine.
 
     Parameters

@@ -1,17 +1,28 @@
-"""The benchmark of the search runs, at a tiny size."""
+"""The benchmark of the search runs, at a tiny size, from the command line too."""
 
 import json
 from pathlib import Path
 
 import pytest
 
-from benchmarks.bench_search import main
+from benchmarks import bench_search
+from jaxplan.cli import run
 
 
 def test_benchmark_runs_and_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("skimage")
     out = tmp_path / "search.json"
-    main(["--cycles", "2", "--peers", "1", "--worlds", "env1", "--out", str(out)])
-    rows = json.loads(out.read_text())["worlds"]["env1"]["ms"]
-    assert set(rows) == {"routes", "knots", "routes + knots", "scipy", "skimage"}
+    bench_search.main(["--cycles", "2", "--peers", "1", "--worlds", "env1", "--json", str(out)])
+    written = json.loads(out.read_text())
+    methods = {row["method"] for row in written["rows"]}
+    assert methods >= {"prepare", "routes", "knots", "routes + knots", "scipy", "skimage"}
+    assert {"processor", "versions", "commit"} <= set(written["machine"])
     assert "routes + knots" in capsys.readouterr().out
+
+
+def test_the_command_line_starts_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command hands the file on; what runs is above."""
+    asked: list[list[str]] = []
+    monkeypatch.setattr(bench_search, "main", lambda arguments: asked.append(arguments))
+    assert run(["bench", "search", "--json", str(tmp_path / "rows.json")]) == 0
+    assert asked == [["--json", str(tmp_path / "rows.json")]]
