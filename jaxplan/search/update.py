@@ -1,82 +1,26 @@
-"""Change a world in flight: new boxes, and cells that became occupied or free, without building everything anew (host).
+"""The lattices of a world that was changed in flight, without building everything anew (host).
 
 Only the cells within the padding of what changed are judged again, and only the steps around those. The labels of
 connected parts are joined where something was freed, and kept where something was closed: two cells of one label may
-then be apart, which costs a search its budget but never hides a path. Arrays keep their shapes, so nothing is compiled:
-boxes go into slots that ``with_spare_boxes`` reserved.
+then be apart, which costs a search its budget but never hides a path. Arrays keep their shapes, so nothing is compiled.
 """
 
-from typing import NamedTuple
-
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 from scipy import ndimage
 
-from jaxplan.errors import InputError
 from jaxplan.numerics import in_float64
-from jaxplan.records import replace
 from jaxplan.search.graph import permitted_moves
 from jaxplan.search.lattice import Lattices, SearchLattice
-from jaxplan.world.obstacles import Boxes, World
+from jaxplan.world.obstacles import World
 from jaxplan.world.occupancy import Lattice, coarsen, kept_in, padded_cells
-from jaxplan.world.voxels import set_cells
-
-_ABSENT = 1e6
-"""m; where boxes wait that are not there, below every room. Their distance is finite and never the least."""
-
-
-class Change(NamedTuple):
-    """A world and its lattices after a change."""
-
-    world: World
-    lattices: Lattices
-
-
-def with_spare_boxes(world: World, count: int = 16) -> World:
-    """The same world with ``count`` more boxes that are not there yet."""
-    boxes = world.boxes
-    spare = Boxes(
-        center=np.concatenate([np.asarray(boxes.center), np.full((count, 3), -_ABSENT)]),
-        half=np.concatenate([np.asarray(boxes.half), np.full((count, 3), 0.5)]),
-        rotation=np.concatenate([np.asarray(boxes.rotation), np.tile(np.eye(3), (count, 1, 1))]),
-    )
-    return replace(world, obstacles=replace(world.obstacles, boxes=spare))
-
-
-def add_box(world: World, lattices: Lattices, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Change:
-    """Add an axis-aligned box from ``lower`` to ``upper`` [m] in a spare slot."""
-    lower, upper = _corners(lower, upper)
-    free = np.flatnonzero(np.asarray(world.boxes.center)[:, 2] <= -_ABSENT)
-    if not len(free):
-        raise InputError("world: have no spare box left, want one; reserve more with with_spare_boxes")
-    moved = _place_box(world, int(free[0]), (lower + upper) / 2.0, (upper - lower) / 2.0)
-    return Change(moved, update_lattices(lattices, moved, lower, upper))
-
-
-def remove_box(world: World, lattices: Lattices, index: int) -> Change:
-    """Take away box ``index``, whatever its attitude; its slot is spare from then on."""
-    boxes = world.boxes
-    center, reach = np.asarray(boxes.center)[index], np.linalg.norm(np.asarray(boxes.half)[index])
-    moved = _place_box(world, index, np.full(3, -_ABSENT), np.full(3, 0.5))
-    return Change(moved, update_lattices(lattices, moved, center - reach, center + reach))
-
-
-def set_occupied(
-    world: World, lattices: Lattices, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"], occupied: bool
-) -> Change:
-    """Set all cells of a voxel world that touch the box from ``lower`` to ``upper`` [m]."""
-    lower, upper = _corners(lower, upper)
-    if world.voxels is None:
-        raise InputError(f"world {world.name!r}: have no cells, want a world of cells; use add_box")
-    voxels = set_cells(world.voxels, lower, upper, occupied)
-    moved = replace(world, obstacles=replace(world.obstacles, voxels=voxels))
-    side = float(world.voxels.spacing)
-    return Change(moved, update_lattices(lattices, moved, lower - side, upper + side))
+from jaxplan.world.update import Change
 
 
 @in_float64
-def update_lattices(lattices: Lattices, world: World, lower: np.ndarray, upper: np.ndarray) -> Lattices:
-    """The lattices of ``world``, of which only the box from ``lower`` to ``upper`` [m] has changed."""
+def update_lattices(lattices: Lattices, change: Change) -> Lattices:
+    """The lattices of a world after ``World.update``; ``lattices`` are those of the world before."""
+    world, lower, upper = change
     finest = lattices.levels[0].grid
     reach = lattices.config.padding + finest.resolution
     factor = round(lattices.levels[-1].grid.resolution / finest.resolution)
@@ -137,21 +81,3 @@ def _joined_labels(
     renamed = np.where(fresh < len(joined), joined[np.minimum(fresh, len(joined) - 1)], fresh)
     labels[around] = renamed.astype(labels.dtype)[local]
     return labels
-
-
-def _place_box(world: World, index: int, center: Float[np.ndarray, "3"], half: Float[np.ndarray, "3"]) -> World:
-    """The world with box ``index`` somewhere else, along the room's axes."""
-    boxes = world.boxes
-    centers, halves, rotations = np.array(boxes.center), np.array(boxes.half), np.array(boxes.rotation)
-    centers[index], halves[index], rotations[index] = center, half, np.eye(3)
-    moved = Boxes(center=centers, half=halves, rotation=rotations)
-    return replace(world, obstacles=replace(world.obstacles, boxes=moved))
-
-
-def _corners(lower: object, upper: object) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    low, high = np.asarray(lower, dtype=np.float64), np.asarray(upper, dtype=np.float64)
-    if low.shape != (3,) or high.shape != (3,) or not (np.isfinite(low) & np.isfinite(high) & (low < high)).all():
-        raise InputError(
-            f"box: have corners {low.tolist()} and {high.tolist()}, want three finite metres each, lower < upper"
-        )
-    return low, high

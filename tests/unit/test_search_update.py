@@ -7,11 +7,17 @@ from scipy import ndimage
 from jaxplan.errors import InputError
 from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes, warmup
-from jaxplan.search.update import add_box, remove_box, set_occupied, with_spare_boxes
+from jaxplan.search.update import update_lattices
 from jaxplan.status import Reason
 from jaxplan.world.obstacles import World, make_obstacles
 from jaxplan.world.scene import load_world
+from jaxplan.world.update import with_spare_boxes
 from jaxplan.world.voxels import distance_grid
+
+
+def changed(world: World, lattices: Lattices, **change: object) -> tuple[World, Lattices]:
+    moved = world.update(**change)
+    return moved.world, update_lattices(lattices, moved)
 
 
 def assert_same(changed: Lattices, anew: Lattices) -> None:
@@ -32,10 +38,10 @@ def test_boxes_come_and_go(seed: int) -> None:
     lattices = build_lattices(world)
     for _ in range(3):
         lower = rng.uniform([-5.5, -5.5, -0.5], [4.5, 4.5, 1.5])
-        world, lattices = add_box(world, lattices, lower, lower + rng.uniform(0.1, 2.0, 3))
+        world, lattices = changed(world, lattices, add_box=(lower, lower + rng.uniform(0.1, 2.0, 3)))
         assert_same(lattices, build_lattices(world))
     for index in (1, 3, 4):
-        world, lattices = remove_box(world, lattices, index)
+        world, lattices = changed(world, lattices, remove_box=index)
         assert_same(lattices, build_lattices(world))
 
 
@@ -44,10 +50,10 @@ def test_a_closed_door_closes_and_opens_again() -> None:
     lattices = build_lattices(world)
     start, goal = np.array([-6.5, -6.5, 1.0]), np.array([[-9.0, -4.2, 1.0]])
     open_way = find_routes(lattices, world, start, goal, 3.0).length[0]
-    world, lattices = add_box(world, lattices, [-7.6, -5.6, 0.0], [-7.4, -2.9, 3.0])
+    world, lattices = changed(world, lattices, add_box=([-7.6, -5.6, 0.0], [-7.4, -2.9, 3.0]))
     around = find_routes(lattices, world, start, goal, 3.0).length[0]
     assert around > open_way + 5.0
-    world, lattices = remove_box(world, lattices, 18)
+    world, lattices = changed(world, lattices, remove_box=18)
     assert find_routes(lattices, world, start, goal, 3.0).length[0] == pytest.approx(open_way)
 
 
@@ -55,7 +61,7 @@ def test_what_a_new_box_encloses_is_never_reached() -> None:
     """The labels still say connected; the search finds out."""
     world = with_spare_boxes(load_world("env1"), 1)
     lattices = build_lattices(world, SearchConfig())
-    world, lattices = add_box(world, lattices, [-5.0, -0.1, 0.0], [5.0, 0.1, 2.0])
+    world, lattices = changed(world, lattices, add_box=([-5.0, -0.1, 0.0], [5.0, 0.1, 2.0]))
     routes = find_routes(lattices, world, np.array([-4.3, -4.3, 1.0]), np.array([[4.3, 4.3, 1.0]]), 5.0)
     assert routes.reasons[0] == Reason.NO_PATH
 
@@ -71,7 +77,7 @@ def test_cells_come_and_go(seed: int) -> None:
     for value in (True, False, True):
         lower = rng.uniform([-0.5, -0.5, -0.5], [5.5, 4.5, 1.5])
         upper = lower + rng.uniform(0.05, 1.5, 3)
-        world, lattices = set_occupied(world, lattices, lower, upper, value)
+        world, lattices = changed(world, lattices, **{"occupy" if value else "free": (lower, upper)})
         anew = distance_grid(np.asarray(world.voxels.occupied), np.zeros(3), 0.1)
         np.testing.assert_allclose(world.voxels.squared, anew.squared, atol=1e-12)
         assert_same(lattices, build_lattices(world))
@@ -83,19 +89,34 @@ def test_nothing_compiles(compilations) -> None:  # type: ignore[no-untyped-def]
     lattices = build_lattices(world)
     warmup(lattices, world)
     compilations.count = 0
-    changed, lattices = add_box(world, lattices, [0.0, 0.0, 0.0], [1.0, 1.0, 3.0])
-    find_routes(lattices, changed, changed.start, np.array([[5.0, 5.0, 1.0]]), 10.0)
+    denser, lattices = changed(world, lattices, add_box=([0.0, 0.0, 0.0], [1.0, 1.0, 3.0]))
+    find_routes(lattices, denser, denser.start, np.array([[5.0, 5.0, 1.0]]), 10.0)
     assert compilations.count == 0
+
+
+def test_the_world_before_stays_as_it_was() -> None:
+    world = with_spare_boxes(load_world("env1"), 1)
+    centers = world.boxes.center.copy()
+    change = world.update(add_box=([0, 0, 0], [1, 1, 1]))
+    np.testing.assert_array_equal(world.boxes.center, centers)
+    np.testing.assert_array_equal(change.world.boxes.center[-1], [0.5, 0.5, 0.5])
+    np.testing.assert_array_equal([change.lower, change.upper], [[0, 0, 0], [1, 1, 1]])
 
 
 def test_bad_changes_are_refused() -> None:
     world = load_world("env1")
-    lattices = build_lattices(world)
+    spare = with_spare_boxes(world)
     with pytest.raises(InputError, match="spare"):
-        add_box(world, lattices, [0, 0, 0], [1, 1, 1])
+        world.update(add_box=([0, 0, 0], [1, 1, 1]))
     with pytest.raises(InputError, match="lower < upper"):
-        add_box(with_spare_boxes(world), lattices, [0, 0, 0], [1, -1, 1])
+        spare.update(add_box=([0, 0, 0], [1, -1, 1]))
     with pytest.raises(InputError, match="finite"):
-        add_box(with_spare_boxes(world), lattices, [0, np.nan, 0], [1, 1, 1])
+        spare.update(add_box=([0, np.nan, 0], [1, 1, 1]))
+    for number in (-1, 99, len(spare.boxes.center) - 1):
+        with pytest.raises(InputError, match="no box"):
+            spare.update(remove_box=number)
     with pytest.raises(InputError, match="no cells"):
-        set_occupied(world, lattices, [0, 0, 0], [1, 1, 1], True)
+        world.update(occupy=([0, 0, 0], [1, 1, 1]))
+    for several in ({}, {"remove_box": 0, "free": ([0, 0, 0], [1, 1, 1])}):
+        with pytest.raises(InputError, match="one change"):
+            world.update(**several)

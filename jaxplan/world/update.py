@@ -1,0 +1,87 @@
+"""Change a world in flight: boxes that come and go, cells that become occupied or free (host). See ``World.update``.
+
+Arrays keep their shapes, so that nothing is compiled anew: boxes go into slots that ``with_spare_boxes`` reserved.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxplan.errors import InputError
+from jaxplan.records import replace
+from jaxplan.world.obstacles import Boxes, World
+from jaxplan.world.voxels import set_cells
+
+_ABSENT = 1e6
+"""m; where boxes wait that are not there, below every room. Their distance is finite and never the least."""
+
+
+class Change(NamedTuple):
+    """A world after a change, and the box outside of which all obstacles are what they were."""
+
+    world: World
+    lower: Float[np.ndarray, "3"]
+    """[m]"""
+    upper: Float[np.ndarray, "3"]
+    """[m]"""
+
+
+def with_spare_boxes(world: World, count: int = 16) -> World:
+    """The same world with ``count`` more boxes that are not there yet."""
+    boxes = world.boxes
+    spare = Boxes(
+        center=np.concatenate([np.asarray(boxes.center), np.full((count, 3), -_ABSENT)]),
+        half=np.concatenate([np.asarray(boxes.half), np.full((count, 3), 0.5)]),
+        rotation=np.concatenate([np.asarray(boxes.rotation), np.tile(np.eye(3), (count, 1, 1))]),
+    )
+    return replace(world, obstacles=replace(world.obstacles, boxes=spare))
+
+
+def add_box(world: World, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Change:
+    """Add an axis-aligned box from ``lower`` to ``upper`` [m] in a spare slot."""
+    lower, upper = _corners(lower, upper)
+    free = np.flatnonzero(np.asarray(world.boxes.center)[:, 2] <= -_ABSENT)
+    if not len(free):
+        raise InputError("world: have no spare box left, want one; reserve more with with_spare_boxes")
+    moved = _place_box(world, int(free[0]), (lower + upper) / 2.0, (upper - lower) / 2.0)
+    return Change(moved, lower, upper)
+
+
+def remove_box(world: World, index: int) -> Change:
+    """Take away box ``index``, whatever its attitude; its slot is spare from then on."""
+    boxes = world.boxes
+    if not 0 <= index < len(boxes.center) or np.asarray(boxes.center)[index, 2] <= -_ABSENT:
+        raise InputError(f"world {world.name!r}: there is no box {index}; want the number of one in world.boxes")
+    center, reach = np.asarray(boxes.center)[index], np.linalg.norm(np.asarray(boxes.half)[index])
+    moved = _place_box(world, index, np.full(3, -_ABSENT), np.full(3, 0.5))
+    return Change(moved, center - reach, center + reach)
+
+
+def set_occupied(world: World, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"], occupied: bool) -> Change:
+    """Set all cells of a voxel world that touch the box from ``lower`` to ``upper`` [m]."""
+    lower, upper = _corners(lower, upper)
+    if world.voxels is None:
+        raise InputError(f"world {world.name!r}: have no cells, want a world of cells; add or remove a box")
+    voxels = set_cells(world.voxels, lower, upper, occupied)
+    moved = replace(world, obstacles=replace(world.obstacles, voxels=voxels))
+    side = float(world.voxels.spacing)
+    return Change(moved, lower - side, upper + side)
+
+
+def _place_box(world: World, index: int, center: Float[np.ndarray, "3"], half: Float[np.ndarray, "3"]) -> World:
+    """The world with box ``index`` somewhere else, along the room's axes."""
+    boxes = world.boxes
+    centers, halves, rotations = np.array(boxes.center), np.array(boxes.half), np.array(boxes.rotation)
+    centers[index], halves[index], rotations[index] = center, half, np.eye(3)
+    moved = Boxes(center=centers, half=halves, rotation=rotations)
+    return replace(world, obstacles=replace(world.obstacles, boxes=moved))
+
+
+def _corners(lower: object, upper: object) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    low, high = np.asarray(lower, dtype=np.float64), np.asarray(upper, dtype=np.float64)
+    if low.shape != (3,) or high.shape != (3,) or not (np.isfinite(low) & np.isfinite(high) & (low < high)).all():
+        raise InputError(
+            f"box: have corners {low.tolist()} and {high.tolist()}, want three finite metres each, lower < upper"
+        )
+    return low, high
