@@ -27,6 +27,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxplan.search import graph as g
+from jaxplan.search.cells import at, centre_of, distance, flat, indices, neighbour
 from jaxplan.search.compiled import entry_point, inner, source_digest
 from jaxplan.search.found import Found, collect_paths, write_paths
 from jaxplan.search.graph import (
@@ -52,9 +53,6 @@ _RECHECK = 32
 _ONWARD, _ONWARD_COUNT = g.onward_steps()
 
 _push, _pop = inner(push), inner(pop)
-_index, _flat, _indices = inner(g.index), inner(g.flat), inner(g.indices)
-_centre_of, _neighbour = inner(g.centre_of), inner(g.neighbour)
-_at, _put, _distance = inner(g.at), inner(g.put), inner(g.distance)
 
 
 def search(
@@ -134,10 +132,10 @@ def _list_goals(graph, goals):  # type: ignore[no-untyped-def]
     for k in range(len(goals.points)):
         if not goals.wanted[k]:
             continue
-        i, j, m = cell_of(graph.frame, _at(goals.points, k))
-        cell = _flat(graph.frame, i, j, m)
+        i, j, m = cell_of(graph.frame, at(goals.points, k))
+        cell = flat(graph.frame, i, j, m)
         other = goals.head[cell]
-        while other > 0 and _at(goals.points, k) != _at(goals.points, other - 1):
+        while other > 0 and at(goals.points, k) != at(goals.points, other - 1):
             other = goals.following[other - 1]
         if other > 0:
             goals.alias[k] = other - 1
@@ -146,7 +144,7 @@ def _list_goals(graph, goals):  # type: ignore[no-untyped-def]
         goals.following[k] = goals.head[cell]
         goals.head[cell] = k + 1
         for number in range(27):
-            near = _neighbour(graph.frame, i, j, m, number)
+            near = neighbour(graph.frame, i, j, m, number)
             if near >= 0:
                 goals.nearby[near] = True
 
@@ -156,20 +154,20 @@ def _open_around_start(graph, heap, goals, cost, arrival, start, centre):  # typ
     """Open the free cells that the start sees, and join the goals next to it directly."""
     i, j, m = cell_of(graph.frame, start)
     for number in range(27):
-        cell = _neighbour(graph.frame, i, j, m, number)
+        cell = neighbour(graph.frame, i, j, m, number)
         if cell < 0:
             continue
         k = goals.head[cell]
         while k > 0:
-            if sees(graph.fine, graph.fine_frame, start, _at(goals.points, k - 1)):
-                goals.cost[k - 1] = _distance(start, _at(goals.points, k - 1))
+            if sees(graph.fine, graph.fine_frame, start, at(goals.points, k - 1)):
+                goals.cost[k - 1] = distance(start, at(goals.points, k - 1))
                 goals.entry[k - 1] = DIRECT
             k = goals.following[k - 1]
-        middle = _centre_of(graph.frame, *_indices(graph.frame, cell))
+        middle = centre_of(graph.frame, *indices(graph.frame, cell))
         if graph.components[cell] > 0 and sees(graph.fine, graph.fine_frame, start, middle):
-            cost[cell] = _distance(start, middle)
+            cost[cell] = distance(start, middle)
             arrival[cell] = NO_STEP
-            _push(heap, cell, cost[cell] + _distance(middle, centre))
+            _push(heap, cell, cost[cell] + distance(middle, centre))
 
 
 @inner
@@ -179,10 +177,10 @@ def _drop_unreachable(graph, heap, goals):  # type: ignore[no-untyped-def]
     for k in range(len(goals.points)):
         if not goals.wanted[k]:
             continue
-        i, j, m = cell_of(graph.frame, _at(goals.points, k))
-        reachable = goals.entry[k] == DIRECT or _is_open_component(graph, heap, _flat(graph.frame, i, j, m))
+        i, j, m = cell_of(graph.frame, at(goals.points, k))
+        reachable = goals.entry[k] == DIRECT or _is_open_component(graph, heap, flat(graph.frame, i, j, m))
         if not reachable:
-            reachable = _sees_open_component(graph, heap, i, j, m, _at(goals.points, k))
+            reachable = _sees_open_component(graph, heap, i, j, m, at(goals.points, k))
         goals.wanted[k] = reachable
         remaining += reachable
     return remaining
@@ -192,9 +190,9 @@ def _drop_unreachable(graph, heap, goals):  # type: ignore[no-untyped-def]
 def _sees_open_component(graph, heap, i, j, m, goal):  # type: ignore[no-untyped-def]
     """Whether a goal in cell (i, j, m) is in sight of a neighbour that is connected to the start."""
     for number in range(27):
-        cell = _neighbour(graph.frame, i, j, m, number)
+        cell = neighbour(graph.frame, i, j, m, number)
         if cell >= 0 and _is_open_component(graph, heap, cell):
-            middle = _centre_of(graph.frame, *_indices(graph.frame, cell))
+            middle = centre_of(graph.frame, *indices(graph.frame, cell))
             if sees(graph.fine, graph.fine_frame, middle, goal):
                 return True
     return False
@@ -214,16 +212,16 @@ def _is_open_component(graph, heap, cell):  # type: ignore[no-untyped-def]
 @inner
 def _improve_goals(graph, goals, cell, cost):  # type: ignore[no-untyped-def]
     """Offer a settled cell as the entry of the goals around it."""
-    i, j, m = _indices(graph.frame, cell)
-    middle = _centre_of(graph.frame, i, j, m)
+    i, j, m = indices(graph.frame, cell)
+    middle = centre_of(graph.frame, i, j, m)
     for number in range(27):
-        near = _neighbour(graph.frame, i, j, m, number)
+        near = neighbour(graph.frame, i, j, m, number)
         if near < 0:
             continue
         k = goals.head[near]
         while k > 0:
-            offered = cost + _distance(middle, _at(goals.points, k - 1))
-            if offered < goals.cost[k - 1] and sees(graph.fine, graph.fine_frame, middle, _at(goals.points, k - 1)):
+            offered = cost + distance(middle, at(goals.points, k - 1))
+            if offered < goals.cost[k - 1] and sees(graph.fine, graph.fine_frame, middle, at(goals.points, k - 1)):
                 goals.cost[k - 1] = offered
                 goals.entry[k - 1] = cell
             k = goals.following[k - 1]
@@ -232,7 +230,7 @@ def _improve_goals(graph, goals, cell, cost):  # type: ignore[no-untyped-def]
 @inner
 def _relax(graph, heap, cost, arrival, cell, centre):  # type: ignore[no-untyped-def]
     """Offer a settled cell as the predecessor of its neighbours."""
-    i, j, m = _indices(graph.frame, cell)
+    i, j, m = indices(graph.frame, cell)
     moves = graph.moves[cell]
     came = arrival[cell] if moves == EVERY_STEP else NO_STEP
     for number in range(_ONWARD_COUNT[came]):
@@ -240,7 +238,7 @@ def _relax(graph, heap, cost, arrival, cell, centre):  # type: ignore[no-untyped
         if not (moves >> np.uint32(bit)) & np.uint32(1):
             continue
         a, b, c = i + STEPS[bit, 0], j + STEPS[bit, 1], m + STEPS[bit, 2]
-        other = _flat(graph.frame, a, b, c)
+        other = flat(graph.frame, a, b, c)
         place = heap.place[other]
         if place < 0:
             continue
@@ -248,7 +246,7 @@ def _relax(graph, heap, cost, arrival, cell, centre):  # type: ignore[no-untyped
         if place == 0 or offered < cost[other]:
             cost[other] = offered
             arrival[other] = bit
-            _push(heap, other, offered + _distance(_centre_of(graph.frame, a, b, c), centre))
+            _push(heap, other, offered + distance(centre_of(graph.frame, a, b, c), centre))
 
 
 @inner

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numba
 
-inner = numba.njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+inner = numba.njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 """Compiles functions that only other compiled functions call: without wrappers for Python and C, which took a third of
 the time of the first compilation."""
 
-entry_point = numba.njit(cache=True, nogil=True)
+entry_point = numba.njit(cache=True, nogil=True, error_model="numpy")
 """Compiles functions that Python calls, and keeps them on disk."""
 
 

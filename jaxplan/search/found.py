@@ -7,12 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxplan.search import graph as g
+from jaxplan.search.cells import at, centre_of, flat, indices, put
 from jaxplan.search.compiled import entry_point, inner, source_digest
 from jaxplan.search.graph import NO_ENTRY, NO_STEP, STEPS, Frame, Graph
-
-_flat, _indices, _centre_of = inner(g.flat), inner(g.indices), inner(g.centre_of)
-_at, _put = inner(g.at), inner(g.put)
 
 
 class Found(NamedTuple):
@@ -79,7 +76,7 @@ def collect_paths(frame, goals, arrival):  # type: ignore[no-untyped-def]
 def _before(frame, arrival, cell):  # type: ignore[no-untyped-def]
     """The cell from which one was reached; -1 behind the first after the start."""
     bit = arrival[cell]
-    return -1 if bit == NO_STEP else cell - _flat(frame, STEPS[bit, 0], STEPS[bit, 1], STEPS[bit, 2])
+    return -1 if bit == NO_STEP else cell - flat(frame, STEPS[bit, 0], STEPS[bit, 1], STEPS[bit, 2])
 
 
 @inner
@@ -92,9 +89,9 @@ def _write_paths(frame, cells, first, entries, head, goals, points, count):  # t
         count[k] = total
         for position in range(min(total, capacity)):
             if position < len(head):
-                _put(points, k, position, _at(head, position))
+                put(points, k, position, at(head, position))
             elif position < total - 1:
                 cell = cells[first[k] + position - len(head)]
-                _put(points, k, position, _centre_of(frame, *_indices(frame, cell)))
+                put(points, k, position, centre_of(frame, *indices(frame, cell)))
         for position in range(total - 1, capacity):
-            _put(points, k, position, _at(goals, k))
+            put(points, k, position, at(goals, k))

@@ -1,9 +1,5 @@
-"""The graph that the search walks on: an occupancy lattice as flat arrays (NumPy).
+"""The graph that the search walks on: an occupancy lattice as flat arrays (NumPy)."""
 
-The untyped functions at the end are written for numba; ``jaxplan.search.astar`` compiles them.
-"""
-
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -122,11 +118,6 @@ def _has_better_way(d: Int[np.ndarray, "3"], e: Int[np.ndarray, "3"]) -> bool:
     return False
 
 
-def index(x, origin, h, count):  # type: ignore[no-untyped-def]
-    """The cell along one axis; the nearest one for a point on or beyond the lattice's outer faces."""
-    return min(max(math.floor((x - origin) / h), 0), count - 1)
-
-
 class Goals(NamedTuple):
     """Goals in lists by cell. ``head`` and ``following`` hold goal index + 1, so that 0 ends a list."""
 
@@ -167,42 +158,3 @@ def make_goals(
         wanted=wanted.copy(),
         listed=wanted,
     )
-
-
-def flat(frame, i, j, m):  # type: ignore[no-untyped-def]
-    """A cell's number in C order."""
-    return (i * frame.ny + j) * frame.nz + m
-
-
-def indices(frame, cell):  # type: ignore[no-untyped-def]
-    """A cell's indices from its number in C order."""
-    row = cell // frame.nz
-    return row // frame.ny, row % frame.ny, cell - row * frame.nz
-
-
-def centre_of(frame, i, j, m):  # type: ignore[no-untyped-def]
-    """A cell's centre [m, world]."""
-    return frame.x + (i + 0.5) * frame.h, frame.y + (j + 0.5) * frame.h, frame.z + (m + 0.5) * frame.h
-
-
-def neighbour(frame, i, j, m, number):  # type: ignore[no-untyped-def]
-    """The cell itself (26) or its neighbour by one of ``STEPS`` (0..25), as a number in C order; -1 outside."""
-    if number < 26:
-        i, j, m = i + STEPS[number, 0], j + STEPS[number, 1], m + STEPS[number, 2]
-    if i < 0 or j < 0 or m < 0 or i >= frame.nx or j >= frame.ny or m >= frame.nz:
-        return -1
-    return (i * frame.ny + j) * frame.nz + m
-
-
-def at(points, k):  # type: ignore[no-untyped-def]
-    """Point k [m]."""
-    return points[k, 0], points[k, 1], points[k, 2]
-
-
-def put(points, k, position, p):  # type: ignore[no-untyped-def]
-    points[k, position, 0], points[k, position, 1], points[k, position, 2] = p
-
-
-def distance(p, q):  # type: ignore[no-untyped-def]
-    """Distance between two points [m]."""
-    return math.sqrt((p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2)

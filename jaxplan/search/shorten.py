@@ -11,15 +11,12 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxplan.search import graph as g
+from jaxplan.search.cells import at, centre_of, distance, indices
 from jaxplan.search.compiled import entry_point, inner, source_digest
 from jaxplan.search.found import Found
 from jaxplan.search.graph import NO_ENTRY, Frame, Graph
 from jaxplan.search.lattice import Lattices, Paths, grid_frame
 from jaxplan.search.sight import sees
-
-_at, _distance = inner(g.at), inner(g.distance)
-_centre_of, _indices = inner(g.centre_of), inner(g.indices)
 
 
 def shorten(paths: Paths, lattices: Lattices) -> Paths:
@@ -97,7 +94,7 @@ def _compiled_straight() -> Callable[..., None]:
         frame = Frame(*frame)
         last = len(head)
         for k in range(len(goals)):
-            if wanted[k] and sees(occupied, frame, _at(head, last - 1), _at(goals, k)):
+            if wanted[k] and sees(occupied, frame, at(head, last - 1), at(goals, k)):
                 for i in range(points.shape[1]):
                     _copy(points[k], i, head if i < last else goals, i if i < last else k)
                 count[k] = last + 1
@@ -113,7 +110,10 @@ def _compiled_taut() -> Callable[..., None]:
     def entry(frame, fine, cells, first, entries, occupied, head, goals, points, count, length):  # type: ignore[no-untyped-def]
         _ = version
         frame, fine = Frame(*frame), Frame(*fine)
-        path = np.empty((len(head) + np.diff(first).max() + 1, 3))
+        longest = 0
+        for k in range(len(goals)):
+            longest = max(longest, first[k + 1] - first[k])
+        path = np.empty((len(head) + longest + 1, 3))
         for k in range(len(goals)):
             if entries[k] != NO_ENTRY:
                 last = _unroll(frame, cells, first[k], first[k + 1], head, path)
@@ -121,7 +121,7 @@ def _compiled_taut() -> Callable[..., None]:
                 kept = _pull_taut(path, last + 1, occupied, fine)
                 length[k] = 0.0
                 for i in range(1, kept):
-                    length[k] += _distance(_at(path, i - 1), _at(path, i))
+                    length[k] += distance(at(path, i - 1), at(path, i))
                 for i in range(points.shape[1]):
                     _copy(points[k], i, path, min(i, kept - 1))
                 count[k] = kept
@@ -141,7 +141,7 @@ def _unroll(frame, cells, begin, end, head, path):  # type: ignore[no-untyped-de
     for i in range(len(head)):
         _copy(path, i, head, i)
     for i in range(end - begin):
-        x, y, z = _centre_of(frame, *_indices(frame, cells[begin + i]))
+        x, y, z = centre_of(frame, *indices(frame, cells[begin + i]))
         row = len(head) + i
         path[row, 0], path[row, 1], path[row, 2] = x, y, z
     return len(head) + end - begin
@@ -165,13 +165,13 @@ def _farthest_seen(path, here, last, occupied, frame):  # type: ignore[no-untype
     hidden = last + 1
     while seen < last:
         trial = min(here + step, last)
-        if not sees(occupied, frame, _at(path, here), _at(path, trial)):
+        if not sees(occupied, frame, at(path, here), at(path, trial)):
             hidden = trial
             break
         seen, step = trial, 2 * step
     while hidden - seen > 1 and seen < last:
         middle = (seen + hidden) // 2
-        if sees(occupied, frame, _at(path, here), _at(path, middle)):
+        if sees(occupied, frame, at(path, here), at(path, middle)):
             seen = middle
         else:
             hidden = middle

@@ -6,10 +6,8 @@ however small the corner that it cuts.
 
 import numpy as np
 
-from jaxplan.search import graph
+from jaxplan.search.cells import index
 from jaxplan.search.compiled import inner
-
-_index = inner(graph.index)
 
 
 @inner
@@ -38,8 +36,8 @@ def _axis_walk(origin, h, count, a, b):  # type: ignore[no-untyped-def]
     """Along one axis of a segment: first cell, direction, number of faces to cross, and the fractions of the segment at
     the first face and between faces."""
     u, v = (a - origin) / h, (b - origin) / h
-    cell = _index(a, origin, h, count)
-    faces = abs(_index(b, origin, h, count) - cell)
+    cell = index(a, origin, h, count)
+    faces = abs(index(b, origin, h, count) - cell)
     if faces == 0:
         return cell, 1, faces, np.inf, np.inf
     between = 1.0 / abs(v - u)

@@ -8,12 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxplan.search import graph as g
+from jaxplan.search.cells import at, flat, index, neighbour
 from jaxplan.search.compiled import inner
 from jaxplan.search.heap import Heap, make_heap
-
-_at, _flat = inner(g.at), inner(g.flat)
-_index, _neighbour = inner(g.index), inner(g.neighbour)
 
 
 class Workspace(NamedTuple):
@@ -55,10 +52,10 @@ def clean_up(frame, heap, goals, expanded):  # type: ignore[no-untyped-def]
     heap.size[0] = 0
     for k in range(len(goals.points)):
         if goals.listed[k]:
-            i, j, m = cell_of(frame, _at(goals.points, k))
-            goals.head[_flat(frame, i, j, m)] = 0
+            i, j, m = cell_of(frame, at(goals.points, k))
+            goals.head[flat(frame, i, j, m)] = 0
             for number in range(27):
-                near = _neighbour(frame, i, j, m, number)
+                near = neighbour(frame, i, j, m, number)
                 if near >= 0:
                     goals.nearby[near] = False
 
@@ -66,7 +63,7 @@ def clean_up(frame, heap, goals, expanded):  # type: ignore[no-untyped-def]
 @inner
 def cell_of(frame, p):  # type: ignore[no-untyped-def]
     return (
-        _index(p[0], frame.x, frame.h, frame.nx),
-        _index(p[1], frame.y, frame.h, frame.ny),
-        _index(p[2], frame.z, frame.h, frame.nz),
+        index(p[0], frame.x, frame.h, frame.nx),
+        index(p[1], frame.y, frame.h, frame.ny),
+        index(p[2], frame.z, frame.h, frame.nz),
     )
