@@ -4,6 +4,9 @@ A polynomial on [0, 1] lies in the convex hull of its control points (Bernstein 
 points b_i of each lie in a ball around the piece's middle p(1/2) of radius r = max_i |b_i - p(1/2)|, hence so does the
 piece; distance to obstacles is 1-Lipschitz, so on the whole piece ``clearance >= clearance(p(1/2)) - r``. The radius of
 n pieces shrinks like 1/n. A needle between two samples is met by the ball that contains it.
+
+``jaxplan.selection`` bounds planned splines by speed and acceleration instead: it has both at its samples already, and
+so needs no control points of pieces. This one takes coefficients alone.
 """
 
 from math import comb

@@ -5,6 +5,7 @@ geoms it holds a box site "room" (the room's faces), optionally a site "start" a
 with contype = conaffinity = 0 collide with nothing: they are decoration, and no obstacles.
 """
 
+import os
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
@@ -86,10 +87,11 @@ def _read_bytes(path: Path, limit: int) -> bytes:
         raise FileError(f"{path}: {have}, want a readable map; check the path")
     try:
         with path.open("rb") as stream:
-            data = stream.read(limit + 1)
+            too_large = os.fstat(stream.fileno()).st_size > limit  # before any of it takes memory
+            data = b"" if too_large else stream.read(limit + 1)
     except OSError as error:
         raise FileError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
-    if len(data) > limit:
+    if too_large or len(data) > limit:
         raise FileError(f"{path}: have more than {limit} bytes, want a map of at most that; simplify it")
     return data
 
