@@ -45,7 +45,7 @@ def _update_level(
     window = tuple(slice(int(a), int(a) + n) for a, n in zip(first // factor, near_here.shape, strict=True))
     near, occupied = grid.near_obstacle.copy(), grid.occupied.copy()
     near[window] = near_here
-    occupied[window] = near_here | ~kept_in(world, grid.resolution, grid.shape)[window]
+    occupied[window] = near_here | ~kept_in(world, grid.resolution, grid.shape, window)
     fresh = Lattice(occupied=occupied, near_obstacle=near, origin=grid.origin, resolution=grid.resolution)
     around, beyond = _grown(window, 1), _grown(window, 2)
     moves = level.moves.reshape(grid.shape).copy()

@@ -133,11 +133,13 @@ def coarsen(padded: Bool[np.ndarray, "nx ny nz"], factor: int) -> Bool[np.ndarra
     return np.asarray(filled.reshape(mx, factor, my, factor, mz, factor).any(axis=(1, 3, 5)))
 
 
-def kept_in(world: World, resolution: float, shape: tuple[int, ...]) -> Bool[np.ndarray, "nx ny nz"]:
-    """Which cells' centres keep the world's margin from the room's faces."""
+def kept_in(
+    world: World, resolution: float, shape: tuple[int, ...], window: tuple[slice, ...] = (slice(None),) * 3
+) -> Bool[np.ndarray, "nx ny nz"]:
+    """Which cells' centres keep the world's margin from the room's faces; of the cells in ``window`` only."""
     bounds, margin = np.asarray(world.bounds, dtype=np.float64), float(world.keep_in) - _ROUNDING
     inside = [
-        (centre >= bounds[0, axis] + margin) & (centre <= bounds[1, axis] - margin)
+        ((centre >= bounds[0, axis] + margin) & (centre <= bounds[1, axis] - margin))[window[axis]]
         for axis, centre in enumerate(cell_centres(bounds[0], resolution, shape))
     ]
     return np.asarray(inside[0][:, None, None] & inside[1][None, :, None] & inside[2][None, None, :])
