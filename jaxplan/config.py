@@ -6,7 +6,7 @@ from typing import Literal, get_args
 
 from jaxplan.errors import InputError
 
-Predictor = Literal["none", "ground-truth", "noisy", "constant-velocity"]
+Predictor = Literal["none", "ground-truth", "noisy", "constant-velocity", "constant-acceleration", "gmm"]
 Planner = Literal["no-policy"]
 
 _FASTEST_TARGET = 50.0
@@ -27,6 +27,9 @@ class InterceptConfig:
 
     predictor: Predictor = "ground-truth"
     """How the target's future is predicted."""
+
+    target_model: str | None = None
+    """A mixture for --predictor gmm (.npy, see jaxplan train gmm). Default: the world's own, or the generic one."""
 
     planner: Planner = "no-policy"
     """Who allots the times between waypoints; no-policy: distance / 2.5 m/s."""
@@ -56,6 +59,10 @@ class InterceptConfig:
         if self.target is not None:
             _require_name("target", self.target)
         _require_choice("predictor", self.predictor, get_args(Predictor))
+        if self.target_model is not None:
+            _require_name("target-model", self.target_model)
+            if self.predictor != "gmm":
+                raise _refusal("target-model", self.target_model, "none unless the predictor is gmm")
         _require_choice("planner", self.planner, get_args(Planner))
         if self.speed is not None:
             _require_number("speed", self.speed, f"a number above 0 and at most {_FASTEST_TARGET:g} m/s")

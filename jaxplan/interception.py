@@ -16,8 +16,10 @@ from jaxplan.io.targets import Target, load_target
 from jaxplan.numerics import in_float64
 from jaxplan.planner import APPROACH_LANES, PlannerConfig, build_planner
 from jaxplan.policy.constant_speed import constant_speed_policy
-from jaxplan.prediction.observations import first_observation
-from jaxplan.prediction.predictors import PredictionConfig, build_predictor, candidate_count
+from jaxplan.prediction.observations import Observations
+from jaxplan.prediction.predictors import PredictionConfig, StepPredictor, build_predictor, candidate_count
+from jaxplan.prediction.stream import ObservationStream, StreamConfig
+from jaxplan.prediction.target_model import load_model, shipped_model
 from jaxplan.replanner import CommittedPlan, Cycle, Replanner, ReplannerConfig
 from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.search.places import reachable_place
@@ -53,8 +55,8 @@ class Scenario:
     start: FlatState
     departure: float
     seed: int
-    memory: int
-    """Observations of the target that the predictor is given."""
+    stream: StreamConfig
+    """How what is seen of the target becomes observations."""
     clearance: Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n"]]
     """Metres from the nearest obstacle or face of the room; compiled once for each n."""
 
@@ -134,7 +136,7 @@ def prepare(config: InterceptConfig) -> Scenario:
     _check_start(position, world, vehicle, distance)
     start = hover(position)
     planner = build_planner(planner_config, world=world, vehicle=vehicle, policy=constant_speed_policy())
-    predictor = build_predictor(config.predictor, prediction, target.position, config.seed)
+    predictor = _predictor(config, prediction, target, world)
     return Scenario(
         world=world,
         target=target,
@@ -144,14 +146,28 @@ def prepare(config: InterceptConfig) -> Scenario:
         start=start,
         departure=config.departure,
         seed=config.seed,
-        memory=prediction.observations,
+        stream=StreamConfig(observations=prediction.observations, dt=prediction.dt),
         clearance=distance,
     )
+
+
+def _predictor(config: InterceptConfig, prediction: PredictionConfig, target: Target, world: World) -> StepPredictor:
+    """The predictor that was asked for, with the mixture that belongs to the world if it needs one."""
+    model = None
+    if config.predictor == "gmm":
+        own = config.target_model
+        model = shipped_model(config.world, prediction.dt) if own is None else load_model(own)
+    return build_predictor(config.predictor, prediction, target.position, config.seed, model, world)
 
 
 def warm_up(scenario: Scenario) -> None:
     """Compile everything that an episode calls."""
     scenario.replanner.planner.warmup(scenario.start)
+    count = scenario.stream.observations
+    still = Observations(
+        times=scenario.stream.dt * np.arange(count), positions=np.tile(np.asarray(scenario.start.pos), (count, 1))
+    )
+    scenario.replanner.warm_up(still)
     key = jax.random.key(scenario.seed)
     state = scenario.plant.reset(scenario.start, key)
     state, log = scenario.plant.fly(state, scenario.replanner.reference(scenario.control_times(0.0)))
@@ -164,12 +180,12 @@ def fly(scenario: Scenario, progress: Progress, warmup_s: float = 0.0) -> Episod
     compiled, began = compilations(), time.perf_counter()
     replanner, target, period = scenario.replanner, scenario.target, scenario.replanner.config.period
     state = scenario.plant.reset(scenario.start, jax.random.key(scenario.seed))
-    observations, cycles, flights, outcome = None, [], [], None
+    stream, cycles, flights, outcome = ObservationStream(scenario.stream), [], [], None
     for index in range(int(np.ceil(target.duration / period))):
         now = index * period
-        seen = target.position(np.array([now]))[0]
-        observations = observations.add(now, seen, scenario.memory) if observations else first_observation(now, seen)
-        if now >= scenario.departure - 1e-9:
+        stream.add(now, target.position(np.array([now]))[0], now)
+        observations = stream.observe(now)
+        if observations is not None and now >= scenario.departure - 1e-9:
             cycles.append(replanner.step(now, observations))
         times = scenario.control_times(now)
         state, log = scenario.plant.fly(state, replanner.reference(times))

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from jaxplan.interception import Episode
-from jaxplan.status import PlanStatus
+from jaxplan.status import Note, PlanStatus
 from jaxplan.versions import installed_versions
 
 
@@ -32,6 +32,7 @@ def episode_metrics(episode: Episode) -> dict[str, Any]:
         },
         "replans": len(episode.cycles),
         "replan_status": _statuses(episode),
+        "predictor_fallbacks": sum(bool(cycle.note & Note.PREDICTOR_FALLBACK) for cycle in episode.cycles),
         "replan_ms": _times(episode),
         "late_replans": sum(sum(c.stage_ms.values()) > 1e3 * scenario.replanner.config.latency for c in episode.cycles),
         "compile_s": episode.warmup_s,

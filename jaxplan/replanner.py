@@ -21,7 +21,7 @@ from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.predictors import Predictor
 from jaxplan.records import replace
 from jaxplan.spline import FlatState, PiecewisePolynomial
-from jaxplan.status import PlanStatus, count_reasons
+from jaxplan.status import Note, PlanStatus, Reason, count_reasons
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,6 +69,8 @@ class Cycle(NamedTuple):
     """Candidates per reason; one candidate may have several."""
     jump: Float[np.ndarray, "5"] | None
     """Discontinuity of position to jerk [SI] and of snap (relative) at the switch; None without a new plan."""
+    note: Note = Note(0)
+    """What deserves mention about the prediction."""
 
 
 class Replanner:
@@ -127,7 +129,12 @@ class Replanner:
             generated=len(plans.reasons),
             rejected=count_reasons(plans.reasons),
             jump=jump,
+            note=Note(candidates.note),
         )
+
+    def warm_up(self, observations: Observations) -> None:
+        """Compile what the predictor calls, for as many observations as it wants."""
+        self._predictor(observations, 0)
 
     def _decide(
         self, state: FlatState, candidates: Candidates, plans: Plans, takeover: float, timer: Timer
@@ -142,6 +149,8 @@ class Replanner:
         best = select(approach)
         if best >= 0:
             return PlanStatus.APPROACH, best, approach
+        if (np.asarray(candidates.reasons) & np.uint32(Reason.TARGET_LOST)).all():
+            return PlanStatus.TARGET_LOST, -1, plans
         usable = bool((plans.reasons == 0).any()) or len(approach.reasons) > 0
         return (PlanStatus.KEPT_COMMITTED if usable else PlanStatus.NO_CANDIDATE), -1, plans
 

@@ -27,6 +27,7 @@ class Reason(enum.IntFlag):
     LIMITS = 1 << 10
     OUT_OF_REACH = 1 << 11
     PREFIX_ONLY = 1 << 12
+    TARGET_LOST = 1 << 13
 
 
 class Note(enum.IntFlag):
@@ -45,6 +46,7 @@ class PlanStatus(enum.IntEnum):
     APPROACH = 2
     KEPT_COMMITTED = 3
     NO_CANDIDATE = 4
+    TARGET_LOST = 5
 
 
 def bit(bad: Bool[Array, "..."], reason: Reason) -> UInt32[Array, "..."]:

@@ -16,6 +16,7 @@ from cyclopts import App, CycloptsError, Parameter, Token, convert
 
 from jaxplan.cli.bench import bench
 from jaxplan.cli.intercept import intercept
+from jaxplan.cli.train import train
 from jaxplan.cli.world import world
 from jaxplan.errors import JaxplanError
 
@@ -40,7 +41,7 @@ app = App(
     default_parameter=Parameter(negative=(), converter=_convert),
     suppress_keyboard_interrupt=False,
 )
-for command in (intercept, world, bench):
+for command in (intercept, world, bench, train):
     app.command(command)
 
 

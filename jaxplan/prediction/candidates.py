@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
 
-from jaxplan.records import record, replace
+from jaxplan.records import record, replace, static
 from jaxplan.status import Reason, bit
 from jaxplan.world.clearance import clearance, wall_clearance
 from jaxplan.world.obstacles import World
@@ -23,6 +23,8 @@ class Candidates:
     reasons: UInt32[Array, "k"]
     target: Float[Array, "3"]
     """Where the target was last seen [m, world]; its distance chooses the search lattice."""
+    note: int = static(default=0)
+    """What deserves mention about all of them, as ``jaxplan.status.Note``."""
 
 
 def candidates_from(

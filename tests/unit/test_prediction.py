@@ -6,10 +6,11 @@ import pytest
 
 from jaxplan.errors import InputError
 from jaxplan.prediction.candidates import candidates_from, reject_early
-from jaxplan.prediction.observations import first_observation
+from jaxplan.prediction.observations import Observations, first_observation
 from jaxplan.prediction.predictors import PREDICTORS, PredictionConfig, build_predictor
+from jaxplan.prediction.target_model import shipped_model
 from jaxplan.records import replace
-from jaxplan.status import Reason
+from jaxplan.status import Note, Reason
 from jaxplan.world.scene import load_world
 
 CONFIG = PredictionConfig(steps=6, dt=0.2, batch=500, sigma=0.05)
@@ -20,15 +21,19 @@ def truth(times):
     return np.stack([np.cos(times), np.sin(times), 0.1 * times], axis=-1)
 
 
-def watch(duration=1.0, dt=0.1, keep=10):
-    observations = first_observation(0.0, truth(np.array([0.0]))[0])
-    for time in np.arange(dt, duration + 1e-9, dt):
-        observations = observations.add(time, truth(np.array([time]))[0], keep)
-    return observations
+def watch(duration=1.0, dt=0.1, keep=10, age=0.0):
+    times = duration - dt * np.arange(keep - 1, -1, -1)
+    return Observations(times=times, positions=truth(times), age=age)
 
 
 def predict(name, observations=None, cycle=0):
     return build_predictor(name, CONFIG, truth, seed=3)(observations or watch(), cycle)
+
+
+@pytest.fixture(scope="module")
+def mixture():
+    """The Gaussian mixture in open space, on ten positions 0.1 s apart."""
+    return build_predictor("gmm", PredictionConfig(), truth, seed=3, model=shipped_model("generic", 0.1))
 
 
 def test_none_repeats_what_was_seen_last():
@@ -60,24 +65,104 @@ def test_noise_is_repeatable_and_differs_between_cycles():
 
 
 def test_constant_velocity_is_exact_on_a_line_and_knows_nothing_of_the_future():
-    line = first_observation(0.0, np.zeros(3))
-    for time in (0.1, 0.2, 0.35):
-        line = line.add(time, time * np.array([1.0, -2.0, 0.5]), 10)
+    times = np.array([0.0, 0.1, 0.2, 0.35])
+    line = Observations(times=times, positions=times[:, None] * [1.0, -2.0, 0.5])
     candidates = predict("constant-velocity", line)
     np.testing.assert_allclose(candidates.goals, (0.35 + candidates.arrival_times)[:, None] * [1.0, -2.0, 0.5])
     alone = predict("constant-velocity", first_observation(0.0, np.ones(3)))
     np.testing.assert_allclose(alone.goals, 1.0)
 
 
-def test_only_the_newest_observations_are_kept():
-    assert len(watch(duration=5.0, keep=10).times) == 10
-    assert watch(duration=5.0).times[-1] == pytest.approx(5.0)
+def test_constant_acceleration_is_exact_on_a_parabola():
+    times = np.array([0.0, 0.1, 0.25, 0.3, 0.4])
+    curve = lambda t: np.stack([t, 1.0 - t + 2.0 * t**2, -0.5 * t**2], axis=-1)  # noqa: E731
+    candidates = predict("constant-acceleration", Observations(times=times, positions=curve(times)))
+    np.testing.assert_allclose(candidates.goals, curve(0.4 + candidates.arrival_times), atol=1e-10)
+    for count in (1, 2):
+        few = Observations(times=times[:count], positions=curve(times[:count]))
+        straight = predict("constant-velocity", few)
+        np.testing.assert_allclose(predict("constant-acceleration", few).goals, straight.goals, atol=1e-12)
+
+
+def test_every_predictor_gives_a_distribution():
+    for name in PREDICTORS[:-1]:
+        prediction = build_predictor(name, CONFIG, truth).predict(watch())
+        assert prediction.mean.shape == (6, 3)
+        assert np.exp(prediction.log_weights).sum() == pytest.approx(1.0)
+        spread = np.linalg.norm(np.asarray(prediction.factors), axis=(1, 2))[:, 0]
+        assert (np.diff(spread) >= 0.0).all()
+
+
+def test_mixture_proposes_a_batch_for_every_step(mixture):
+    candidates = mixture(watch(), 0)
+    assert candidates.goals.shape == (400, 3)
+    np.testing.assert_allclose(
+        candidates.arrival_times.reshape(20, 20), np.repeat(0.1 * np.arange(1, 21), 20).reshape(20, 20)
+    )
+    assert candidates.likelihood.max() == 1.0
+    assert candidates.note == 0
+    np.testing.assert_array_equal(mixture(watch(), 5).goals, mixture(watch(), 5).goals)
+    assert not np.array_equal(mixture(watch(), 5).goals, mixture(watch(), 6).goals)
+
+
+def test_mixture_is_closer_to_a_turning_target_than_a_straight_line(mixture):
+    future = truth(1.0 + 0.1 * np.arange(1, 21))
+    straight = build_predictor("constant-velocity", PredictionConfig(), truth)
+    errors = [np.linalg.norm(p.predict(watch()).mean - future, axis=1)[-1] for p in (mixture, straight)]
+    assert errors[0] < 0.7 * errors[1]
+
+
+def test_mixture_moves_with_the_target_in_open_space(mixture):
+    shift = np.array([30.0, -4.0, 2.0])
+    moved = Observations(times=watch().times, positions=watch().positions + shift)
+    np.testing.assert_allclose(mixture(moved, 0).goals, mixture(watch(), 0).goals + shift, atol=1e-9)
+
+
+@pytest.mark.parametrize("count", range(1, 10))
+def test_too_few_observations_fall_back_to_constant_velocity_with_a_note(mixture, count):
+    few = watch(keep=count)
+    candidates = mixture(few, 0)
+    assert Note(candidates.note) & Note.PREDICTOR_FALLBACK
+    straight = build_predictor("constant-velocity", PredictionConfig(), truth)(few, 0)
+    np.testing.assert_array_equal(candidates.goals, straight.goals)
+
+
+def test_observations_like_none_in_training_fall_back_too(mixture):
+    for positions in (100.0 * np.random.default_rng(0).standard_normal((10, 3)), np.eye(10)[:, :3] * 1e6):
+        candidates = mixture(Observations(times=watch().times, positions=positions), 0)
+        assert Note(candidates.note) & Note.PREDICTOR_FALLBACK
+        assert np.isfinite(candidates.goals).all()
+    uneven = Observations(times=np.cumsum(0.05 + 0.01 * np.arange(10)), positions=watch().positions)
+    assert Note(mixture(uneven, 0).note) & Note.PREDICTOR_FALLBACK
+
+
+def test_a_silent_target_is_less_certain_and_then_lost(mixture):
+    fresh, silent = mixture(watch(), 0), mixture(watch(age=0.55), 0)
+    np.testing.assert_allclose(silent.arrival_times, fresh.arrival_times - 0.55)
+    ahead = lambda c: c.goals[np.abs(c.arrival_times - 0.55) < 0.051].std(axis=0).max()  # noqa: E731
+    assert ahead(silent) > 1.5 * ahead(fresh)
+    for name in PREDICTORS[:-1]:
+        lost = predict(name, watch(age=1.01))
+        assert (lost.reasons == int(Reason.TARGET_LOST)).all()
+        assert np.isnan(lost.goals).all()
+    assert (mixture(watch(age=np.nan), 0).reasons == int(Reason.TARGET_LOST)).all()
+
+
+def test_nothing_compiles_after_the_first_call(mixture, compilations):
+    mixture(watch(), 0)
+    predict("noisy")
+    compilations.count = 0
+    for cycle in range(5):
+        mixture(watch(duration=1.0 + 0.1 * cycle), cycle)
+        mixture(watch(keep=3), cycle)
+        predict("noisy", cycle=cycle)
+    assert compilations.count == 0
 
 
 def test_unknown_predictor_and_bad_settings_are_refused():
     with pytest.raises(InputError, match=", ".join(PREDICTORS)):
         predict("oracle")
-    for wrong in ({"dt": 0.0}, {"sigma": np.nan}, {"steps": 0}):
+    for wrong in ({"dt": 0.0}, {"sigma": np.nan}, {"steps": 0}, {"lost_after": 0.0}):
         with pytest.raises(InputError):
             PredictionConfig(**wrong)
 
