@@ -11,6 +11,7 @@ from jaxplan.versions import require_supported_jax
 Benchmark = Literal[
     "minsnap",
     "plant",
+    "prediction",
     "search",
     "time-allocation",
 ]

@@ -34,7 +34,7 @@ _LEAST_SPREAD = 1e-9
 class FitConfig:
     """How a mixture is fitted."""
 
-    components: tuple[int, ...] = (8, 16, 32, 48)
+    components: tuple[int, ...] = (4, 8, 16)
     """Numbers of components that are tried."""
     floor: float = 0.01
     """Standard deviation [m] of the noise added to every coordinate."""

@@ -188,7 +188,7 @@ def _mixture_guesser(config: PredictionConfig, model: TargetModel | None, world:
         observed = window_coordinates(observations.positions, config.observations, anchored)
         uniform, normal = _randoms(config.steps, config.batch, rng)
         randoms = np.concatenate([uniform[..., None], normal], axis=-1)
-        log_weights, means, scored, distance = _conditional_draw(on_device, np.append(newest, observed), randoms)
+        log_weights, means, scored, distance = conditional_draw(on_device, np.append(newest, observed), randoms)
         if not float(distance) <= unusual:
             return Guess(constant_velocity(observations, offsets), None, Note.PREDICTOR_FALLBACK)
         prediction = Prediction(offsets=offsets, log_weights=log_weights, means=means, factors=prepared.factors)
@@ -199,7 +199,7 @@ def _mixture_guesser(config: PredictionConfig, model: TargetModel | None, world:
 
 
 @jax.jit
-def _conditional_draw(
+def conditional_draw(
     model: ConditionalMixture, seen: Float[Array, "3+q"], randoms: Float[Array, "s b 4"]
 ) -> tuple[Float[Array, "k"], Float[Array, "s 3 k"], Float[Array, "s b 4"], Float[Array, ""]]:
     """Condition, draw and score in one program: log-weights, means, positions with log-densities, unlikeness.

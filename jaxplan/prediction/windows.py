@@ -27,6 +27,10 @@ _POOL = 4096
 """Places that are drawn for one batch of chains."""
 _SIGHT_STEP = 0.25
 """Interval [m] at which the way between two places is checked; coarse, since only plausibility hangs on it."""
+_SPEEDS = 10
+"""Classes of maximum speed that are equally frequent."""
+_PATIENCE = 20
+"""Batches without a single window after which the speeds that are missing are given up."""
 _SPEED_SAMPLES = 24
 """Samples a segment from which a flight's maximum speed is taken."""
 
@@ -94,33 +98,50 @@ def draw_windows(
 ) -> Float[np.ndarray, "n l 3"]:
     """``count`` windows [m, world] of flights drawn from each source in turn, shuffled; clear in ``world`` if given.
 
+    All maximum speeds are equally frequent, although fewer windows of fast flights are clear: flights are drawn at the
+    speeds of which too few windows have been found. Speeds at which no window fits into the world are left out.
+
     Raises:
         InputError: the world has too little free space for flights of this kind.
     """
-    windows: list[np.ndarray] = []
-    found = batches = 0
-    while found < count or batches < len(sources):
-        cut, flight = _cut(sources[batches % len(sources)](rng), rng, config)
-        clear = np.ones(len(cut), bool) if world is None else (free_distance(world, cut) >= config.margin).all(axis=1)
-        clear &= (
-            np.linalg.norm(np.diff(cut, n=2, axis=1), axis=-1).max(axis=1) <= config.max_acceleration * config.dt**2
+    quota = -(-count // _SPEEDS)
+    windows: list[list[np.ndarray]] = [[] for _ in range(_SPEEDS)]
+    missing, fruitless, batches = np.full(_SPEEDS, quota), 0, 0
+    while missing.any() and fruitless < _PATIENCE:
+        speed_class = rng.choice(_SPEEDS, FLIGHTS, p=missing / missing.sum())
+        cut, flight = _cut(sources[batches % len(sources)](rng), speed_class, rng, config)
+        kept, flight = _few_of_each(*_plausible(cut, flight, world, config), config.keep)
+        for index in np.flatnonzero(missing):
+            mine = kept[speed_class[flight] == index][: missing[index]]
+            windows[index].append(mine)
+            missing[index] -= len(mine)
+        fruitless, batches = (0 if len(kept) else fruitless + 1), batches + 1
+    found = np.concatenate([part for parts in windows for part in parts])
+    if len(found) < count // 2:
+        raise InputError(
+            f"windows: have {len(found)} of {count} windows from {batches * FLIGHTS} flights; want a roomier world"
         )
-        windows.append(_few_of_each(cut[clear], flight[clear], config.keep))
-        found, batches = found + len(windows[-1]), batches + 1
-        if batches >= 8 and found < 8 * batches:
-            raise InputError(
-                f"windows: have {found} clear windows in {batches * FLIGHTS} flights; want a roomier world"
-            )
-    return np.concatenate(windows)[rng.permutation(found)[:count]]
+    return found[rng.permutation(len(found))[:count]]
+
+
+def _plausible(
+    windows: Float[np.ndarray, "n l 3"], flight: Int[np.ndarray, "n"], world: World | None, config: WindowConfig
+) -> tuple[Float[np.ndarray, "k l 3"], Int[np.ndarray, "k"]]:
+    """The windows that a vehicle could fly and that are clear, with their flights."""
+    change = np.linalg.norm(np.diff(windows, n=2, axis=1), axis=-1).max(axis=1)
+    good = change <= config.max_acceleration * config.dt**2
+    if world is not None:
+        good &= (free_distance(world, windows) >= config.margin).all(axis=1)
+    return windows[good], flight[good]
 
 
 def _few_of_each(
     windows: Float[np.ndarray, "n l 3"], flight: Int[np.ndarray, "n"], keep: int
-) -> Float[np.ndarray, "k l 3"]:
-    """The first windows of each flight: fast flights have fewer clear ones, and should count as much as slow ones."""
+) -> tuple[Float[np.ndarray, "k l 3"], Int[np.ndarray, "k"]]:
+    """The first windows of each flight, with their flights."""
     starts = np.flatnonzero(np.diff(flight, prepend=-1))
     place = np.arange(len(flight)) - np.repeat(starts, np.diff(np.append(starts, len(flight))))
-    return windows[place < keep]
+    return windows[place < keep], flight[place < keep]
 
 
 def chains(world: World, config: WindowConfig) -> WaypointSource:
@@ -183,9 +204,12 @@ def walks(config: WindowConfig) -> WaypointSource:
 
 
 def _cut(
-    waypoints: Float[np.ndarray, "m+1 3 b"], rng: np.random.Generator, config: WindowConfig
+    waypoints: Float[np.ndarray, "m+1 3 b"],
+    speed_class: Int[np.ndarray, "b"],
+    rng: np.random.Generator,
+    config: WindowConfig,
 ) -> tuple[Float[np.ndarray, "n l 3"], Int[np.ndarray, "n"]]:
-    """Windows at random times of the flights through ``waypoints``, and the flight of each."""
+    """Windows at random times of the flights through ``waypoints``, in order, and the flight of each."""
     steps = np.diff(waypoints, axis=0)
     durations = np.maximum(np.linalg.norm(steps, axis=1), 1e-3)
     initial = np.zeros((4, 3, waypoints.shape[-1]))
@@ -193,7 +217,8 @@ def _cut(
     solved = minimum_snap_batch(waypoints, durations, initial=initial)
     coefficients = np.moveaxis(np.asarray(solved.splines.position), -1, 0)
     fastest = _fastest(coefficients, durations.T)
-    speed = rng.uniform(*config.speeds, len(fastest))
+    slowest, swiftest = config.speeds
+    speed = slowest + (speed_class + rng.random(len(fastest))) * (swiftest - slowest) / _SPEEDS
     rate = speed / np.maximum(fastest, 1e-9)
     whole = durations.sum(axis=0)
     span = (config.length - 1) * config.dt * rate

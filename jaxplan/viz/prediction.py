@@ -55,9 +55,16 @@ def _height(world: World) -> float:
 def _draw_panel(axes: Axes, world: World, panel: PredictionPanel) -> PathCollection:
     draw_world(axes, world, across=2, level=float(panel.observed[-1, 2]))
     wrong, good = panel.goals[~panel.usable], panel.goals[panel.usable]
-    axes.scatter(*wrong[:, :2].T, s=7, marker="x", color=_REJECTED, linewidths=0.6, label="rejected", zorder=3)
+    axes.scatter(wrong[:, 0], wrong[:, 1], s=7, marker="x", color=_REJECTED, linewidths=0.6, label="rejected", zorder=3)
     dots = axes.scatter(
-        *good[:, :2].T, c=panel.times[panel.usable], s=7, cmap="viridis", vmin=0.0, vmax=panel.times.max(), zorder=4
+        good[:, 0],
+        good[:, 1],
+        c=panel.times[panel.usable],
+        s=7,
+        cmap="viridis",
+        vmin=0.0,
+        vmax=panel.times.max(),
+        zorder=4,
     )
     axes.plot(*panel.future[:, :2].T, color=_REAL, linewidth=1.4, label="real future", zorder=5)
     axes.plot(*panel.observed[:, :2].T, color=_SEEN, marker=".", markersize=4, linewidth=1.0, label="seen", zorder=6)

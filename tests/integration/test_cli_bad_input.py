@@ -5,9 +5,12 @@ from pathlib import Path
 
 import pytest
 
+import jaxplan
 from jaxplan import cli
 
 FLIGHT = "t,x,y,z\n0,-4,4,1\n5,0,4.3,1\n10,4,4,1\n"
+
+ENV1 = str(Path(jaxplan.__file__).parent / "prediction" / "models" / "env1.npy")
 
 CASES = {
     "unknown world": (["--world", "env9"], 10, "env9"),
@@ -15,6 +18,9 @@ CASES = {
     "start outside": (["--start", "50", "0", "1"], 10, "start"),
     "start in a pillar": (["--start", "1", "-0.05", "1"], 10, "start"),
     "missing world": (["--world", "absent.stl"], 11, "absent.stl"),
+    "missing target model": (["--predictor", "gmm", "--target-model", "absent.npy"], 11, "absent.json"),
+    "text as target model": (["--predictor", "gmm", "--target-model", "text.npy"], 11, "text.json"),
+    "target model of another room": (["--world", "env2", "--predictor", "gmm", "--target-model", ENV1], 10, "dt"),
     "missing target": (["--target", "absent.csv"], 11, "absent.csv"),
     "target with nan": (["--target", "nan.csv"], 11, "line 3"),
     "target without z": (["--target", "short.csv"], 11, "z"),
@@ -42,6 +48,7 @@ def inputs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "text.stl": "this is no mesh",
         "empty.stl": "solid nothing\nendsolid nothing\n",
         "text.json": "this is no json",
+        "text.npy": "this is no array",
         "text.xml": "this is no xml",
     }
     for name, content in contents.items():
