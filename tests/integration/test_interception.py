@@ -16,6 +16,7 @@ from jaxplan.prediction.predictors import PREDICTORS, SAMPLING, PredictionConfig
 from jaxplan.prediction.target_model import shipped_model
 from jaxplan.replanner import Replanner
 from jaxplan.spline import hover
+from jaxplan.status import PlanStatus
 from jaxplan.tracking.rollout import CONTROL_RATE
 
 SILENT = lambda text, share: None  # noqa: E731
@@ -116,6 +117,25 @@ def test_late_departure_means_no_plan(scenario):
     assert len(result.cycles) == 0
     assert result.flight.times[-1] == pytest.approx(1.0)
     assert episode_metrics(result)["replan_ms"] == {}
+
+
+def test_a_silent_target_is_lost_and_no_stale_goal_is_chased(scenario):
+    """Predictions first reach less far ahead, then there are none; what is committed is flown to its end."""
+    replanner = again(scenario, predictor="constant-velocity").replanner
+    times = 0.1 * np.arange(10)
+    positions = scenario.target.position(times)
+    statuses = [
+        replanner.step(0.9 + age, Observations(times=times, positions=positions, age=age)).status
+        for age in (0.0, 0.5, 1.0, 1.1, 1.2)
+    ]
+    assert PlanStatus.TARGET_LOST not in statuses[:3]
+    assert statuses[3:] == [PlanStatus.TARGET_LOST] * 2
+    plans = len(replanner.plans)
+    cycle = replanner.step(5.0, Observations(times=times, positions=positions, age=4.1))
+    assert (cycle.status, cycle.chosen, len(replanner.plans)) == (PlanStatus.TARGET_LOST, -1, plans)
+    assert cycle.rejected["target_lost"] == 20
+    state = replanner.reference(np.array([60.0]))
+    np.testing.assert_allclose(state.vel, 0.0, atol=1e-6)
 
 
 def test_lost_tracking_and_collision_are_told_apart(scenario):
