@@ -31,7 +31,7 @@ INTERVALS = {"env1": 0.1, "env2": 0.2, "env3": 0.2}
 """Seconds between predictions (paper, Sec. IV)."""
 SPEEDS = np.linspace(0.5, 5.5, 10)
 FLIGHT_INTERVAL = 0.1
-MOMENTS = {"env1": ("env1-07", 2.5, 3.0), "env2": ("env2-04", 3.0, 8.0), "env3": ("env3-09", 3.0, 6.0)}
+MOMENTS = {"env1": ("env1-05", 2.5, 9.4), "env2": ("env2-07", 3.0, 17.8), "env3": ("env3-06", 3.0, 24.8)}
 """Target, maximum speed [m/s] and time [s] that the picture shows."""
 SHOWN = ("constant-velocity", "ground-truth", "noisy", "gmm")
 PADDING, MAX_SPEED = 0.5, 8.0
@@ -98,18 +98,22 @@ def panels(world, dt):
 
 
 def as_markdown(rows):
-    """One table a column of the comparison."""
+    """Two tables, predictors by columns: how far off, and how honest."""
+    columns = {row["column"]: row["windows"] for row in rows}
+    cells = {(row["predictor"], row["column"]): row for row in rows}
+    predictors = dict.fromkeys(row["predictor"] for row in rows)
     lines = []
-    for column in dict.fromkeys(row["column"] for row in rows):
-        mine = [row for row in rows if row["column"] == column]
-        lines += [f"**{column}**, {mine[0]['windows']} windows", ""]
-        lines += ["| predictor | ADE [m] | FDE [m] | NLL | in the 50 % region | in the 90 % region | ms |"]
-        lines += ["|---|---|---|---|---|---|---|"]
-        for row in mine:
-            numbers = [row["ade_m"], row["fde_m"], row["nll"], row["coverage_50"], row["coverage_90"], row["ms"]]
-            digits = (3, 3, 2, 2, 2, 2)
-            cells = ["-" if n is None else f"{n:.{d}f}" for n, d in zip(numbers, digits, strict=True)]
-            lines.append(f"| {row['predictor']} | {' | '.join(cells)} |")
+    for title, keys, digits in (
+        ("ADE / FDE [m]", ("ade_m", "fde_m"), 2),
+        ("NLL / share in the 50 % region / in the 90 % region", ("nll", "coverage_50", "coverage_90"), 2),
+    ):
+        lines += [f"| {title} | {' | '.join(f'{name} ({count})' for name, count in columns.items())} | ms |"]
+        lines += ["|---" * (len(columns) + 2) + "|"]
+        for kind in predictors:
+            mine = [cells[kind, column] for column in columns]
+            text = [" / ".join("-" if row[key] is None else f"{row[key]:.{digits}f}" for key in keys) for row in mine]
+            spent = np.median([row["ms"] for row in mine])
+            lines.append(f"| {kind} | {' | '.join(text)} | {spent:.2f} |")
         lines.append("")
     return "\n".join(lines)
 

@@ -43,7 +43,7 @@ def draw_predictions(rows: Sequence[tuple[World, Sequence[PredictionPanel]]], pa
         for axes, panel in zip(line, panels, strict=True):
             dots = _draw_panel(axes, world, panel)
         figure.colorbar(dots, ax=line[-1], label="seconds ahead", shrink=0.8)
-    grid[0, 0].legend(loc="upper left", fontsize=7, framealpha=0.9)
+    grid[0, 0].legend(loc="lower right", fontsize=7, framealpha=0.9)
     figure.savefig(path, dpi=150)
 
 

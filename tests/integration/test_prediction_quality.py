@@ -42,7 +42,8 @@ def test_recorded_flights_are_predicted(examples):
 def test_the_table_and_the_picture(tmp_path):
     rows = [{"column": "env1", "predictor": "none", "windows": 3, "ade_m": 1.0, "fde_m": 2.0, "nll": None}]
     rows[0] |= {"coverage_50": None, "coverage_90": None, "ms": 0.1}
-    assert "| none | 1.000 | 2.000 | - | - | - | 0.10 |" in as_markdown(rows)
+    assert "| ADE / FDE [m] | env1 (3) | ms |\n|---|---|---|\n| none | 1.00 / 2.00 | 0.10 |" in as_markdown(rows)
+    assert "| none | - / - / - | 0.10 |" in as_markdown(rows)
     shown = list(panels("env1", 0.1))
     assert [len(panel.goals) for panel in shown] == [20, 20, 400, 400]
     assert all(panel.usable.any() for panel in shown)
