@@ -3,13 +3,12 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from jaxplan import cli
 from jaxplan.prediction.target_model import load_model
 
-SMALL = ["--windows", "400", "--components", "1", "2", "--seed", "3"]
+SMALL = ["--windows", "200", "--components", "1", "2", "--seed", "3"]
 
 
 def train(*arguments: str) -> int:
@@ -37,14 +36,17 @@ def test_a_mixture_with_its_card(
     assert set(card["held_out_log_likelihood"]) == {"1", "2"}
     assert card["held_out_scores"]["gmm"]["fde_m"] < card["held_out_scores"]["constant-velocity"]["fde_m"]
     assert "2 components: mean log-likelihood" in capsys.readouterr().out
-    # The command of the card makes the same file again.
-    again = tmp_path / "again"
+
+
+def test_the_command_of_a_card_makes_the_same_file_again(tmp_path: Path) -> None:
+    path, again = tmp_path / "mine.npy", tmp_path / "again"
+    assert train(*SMALL, "--out", str(path)) == 0
+    card = json.loads(path.with_suffix(".json").read_text())
     again.mkdir()
     command = card["command"].split()[1:]
     command[command.index("mine.npy")] = str(again / "mine.npy")
     assert cli.run(command) == 0
     assert json.loads((again / "mine.json").read_text()) == card
-    np.testing.assert_array_equal(load_model(again / "mine.npy").means, model.means)
 
 
 WRONG = [
