@@ -28,6 +28,7 @@ class Reason(enum.IntFlag):
     OUT_OF_REACH = 1 << 11
     PREFIX_ONLY = 1 << 12
     TARGET_LOST = 1 << 13
+    OUTRANKED = 1 << 14
 
 
 class Note(enum.IntFlag):

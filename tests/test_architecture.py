@@ -20,7 +20,7 @@ LAYERS = [
     {"minsnap", "vehicle", "world"},
     {"prediction", "search", "policy", "arrival", "selection", "tracking"},
     {"planner"},
-    {"viz", "io", "interception", "replanner", "metrics"},
+    {"viz", "io", "interception", "replanner", "metrics", "training"},
     {"cli", "experiments", "benchmarks", "jaxplan"},
 ]
 """From the bottom up. ``jaxplan`` is the package's own __init__: the public names."""
@@ -44,8 +44,8 @@ TYPES_ONLY = {
 
 OWNERS = {
     "mujoco": ("jaxplan/tracking/", "benchmarks/", "jaxplan/world/scene.py", "jaxplan/world/mjcf.py", "jaxplan/viz/"),
-    "flax": ("jaxplan/policy/",),
-    "optax": ("jaxplan/policy/",),
+    "flax": ("jaxplan/policy/", "jaxplan/training/"),
+    "optax": ("jaxplan/training/",),
     "sklearn": ("jaxplan/prediction/gmm.py",),
     "numba": ("jaxplan/search/",),
     "cyclopts": ("jaxplan/cli/", "experiments/"),

@@ -64,17 +64,23 @@ def fit(
     where the vehicle is slow, and turns by at most ``max_yaw_rate`` [rad/s] on average over a segment.
     """
     lanes = waypoints.shape[-1]
-    points = waypoints.at[0].set(jnp.broadcast_to(state.pos[:, None], waypoints.shape[1:]))
-    initial = jnp.broadcast_to(state.derivatives[1:, :, None], (POSITION_ORDER, 3, lanes))
-    position, knots = interpolate(durations, points, initial)
-    headings = _headings(state.yaw[0], knots[:, 0, :2], durations, max_yaw_rate)
-    turning = jnp.broadcast_to(state.yaw[1:, None, None], (YAW_ORDER, 1, lanes))
-    yaw, _ = interpolate(durations, headings[:, None], turning)
+    each = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[..., None], (*leaf.shape, lanes)), state)
+    return fit_each(each, waypoints, durations, max_yaw_rate)
+
+
+def fit_each(
+    states: FlatState, waypoints: Float[Array, "m+1 3 k"], durations: Float[Array, "m k"], max_yaw_rate: float
+) -> SplineBatch:
+    """``fit`` from a state of its own for every lane, (5, 3, k) and (3, k)."""
+    points = waypoints.at[0].set(states.derivatives[0])
+    position, knots = interpolate(durations, points, states.derivatives[1:])
+    headings = _headings(states.yaw[0], knots[:, 0, :2], durations, max_yaw_rate)
+    yaw, _ = interpolate(durations, headings[:, None], states.yaw[1:, None])
     return SplineBatch(durations=durations, position=position, yaw=yaw)
 
 
 def _headings(
-    start: Float[Array, ""], velocity: Float[Array, "m+1 2 k"], durations: Float[Array, "m k"], max_rate: float
+    start: Float[Array, "k"], velocity: Float[Array, "m+1 2 k"], durations: Float[Array, "m k"], max_rate: float
 ) -> Float[Array, "m+1 k"]:
     """Unwrapped yaw [rad] at the knots: the direction of the horizontal velocity, rate-limited."""
 
@@ -85,6 +91,5 @@ def _headings(
         following = yaw + jnp.clip(wanted, -max_rate * duration, max_rate * duration)
         return following, following
 
-    first = jnp.broadcast_to(start, durations.shape[1:])
-    _, rest = jax.lax.scan(turn, first, (velocity[1:], durations))
-    return jnp.concatenate([first[None], rest])
+    _, rest = jax.lax.scan(turn, start, (velocity[1:], durations))
+    return jnp.concatenate([start[None], rest])

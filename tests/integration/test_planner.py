@@ -71,6 +71,38 @@ def test_usable_plans_keep_every_promise(planner, world, moving):
         assert free.min() >= load_vehicle().radius + CONFIG.checks.tracking_margin
 
 
+def test_taking_the_best_first_finds_the_winner_of_an_exhaustive_evaluation(world, moving):
+    """Not only where the first round has a winner: most arrival times are made short, so that few are reachable."""
+    vehicle, policy = load_vehicle(), constant_speed_policy()
+    ordered, exhaustive = (
+        build_planner(replace_config(exhaustive), world=world, vehicle=vehicle, policy=policy)
+        for exhaustive in (False, True)
+    )
+    rounds, winners = set(), 0
+    for seed in range(6):
+        given = candidates(90, seed)
+        times = np.asarray(given.arrival_times) * (0.25 if seed % 2 else 1.0)
+        given = replace(given, arrival_times=times)
+        quick, whole = ordered.plan_batch(moving, given), exhaustive.plan_batch(moving, given)
+        assert select(quick) == select(whole)
+        evaluated = quick.lanes >= 0
+        rounds.add(int(evaluated.sum()))
+        winners += select(whole) >= 0
+        skipped = (quick.reasons & int(Reason.OUTRANKED)) > 0
+        assert not (evaluated & skipped).any()
+        assert (whole.reasons[quick.reasons == 0] == 0).all()
+        if select(whole) >= 0:
+            assert quick.score[skipped].max(initial=-np.inf) <= quick.score[select(quick)]
+            best, same = quick.spline(select(quick)), whole.spline(select(whole))
+            np.testing.assert_allclose(best.position, same.position, rtol=1e-9, atol=1e-9)
+    assert winners >= 4
+    assert max(rounds) > 0
+
+
+def replace_config(exhaustive):
+    return PlannerConfig(buckets=(36, 100), knots=KnotConfig(distance_per_knot=1.0), exhaustive=exhaustive)
+
+
 def test_order_of_candidates_does_not_matter(planner, moving):
     given = candidates(20)
     order = np.random.default_rng(5).permutation(20)

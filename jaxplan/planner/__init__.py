@@ -1,0 +1,9 @@
+"""One replan, from candidates to checked trajectories: the stations of the method in order.
+
+candidates -> search -> knots -> policy <-> arrival -> minimum snap -> checks -> selection
+"""
+
+from jaxplan.planner.build import build_planner
+from jaxplan.planner.records import APPROACH_LANES, Planner, PlannerConfig, Plans, Timer, select
+
+__all__ = ["APPROACH_LANES", "Planner", "PlannerConfig", "Plans", "Timer", "build_planner", "select"]

@@ -1,0 +1,108 @@
+"""The compiled stations of a replan, each on its own so that it can be timed.
+
+The world is an argument of what is compiled, not a constant: a distance grid would bloat the program.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, UInt32
+
+from jaxplan.arrival import Arrival, match_arrival
+from jaxplan.minsnap.batch import SplineBatch, fit
+from jaxplan.planner.records import PlannerConfig
+from jaxplan.policy.protocol import Policy
+from jaxplan.prediction.candidates import Candidates, reject_early
+from jaxplan.search.knots import MAX_WAYPOINTS, select_route
+from jaxplan.selection import Margins, check
+from jaxplan.spline import FlatState
+from jaxplan.status import Reason, bit
+from jaxplan.vehicle.params import Vehicle
+from jaxplan.world.obstacles import World
+
+LENGTHS = (7, MAX_WAYPOINTS)
+"""Waypoints of the sequences that are compiled: most replans have no longer one than the first."""
+
+
+class Routes(NamedTuple):
+    """Searched paths in the form that the compiled stations want, batch axis last."""
+
+    waypoints: Float[Array, "n 3 k"]
+    count: Int[Array, "k"]
+    samples: Float[Array, "p 3 k"]
+    reasons: UInt32[Array, "k"]
+
+
+class Stations(NamedTuple):
+    """The compiled functions."""
+
+    reject: Callable[..., Candidates]
+    route: Callable[..., Routes]
+    read: Callable[..., tuple[Any, Float[Array, "k"]]]
+    """(routes, state): what the policy remembers of each sequence, and its least time [s]."""
+    pick: Callable[..., Any]
+    """(tree, lanes): some lanes of anything whose leaves have the batch last."""
+    match: Callable[..., Arrival]
+    stretch: Callable[..., Float[Array, "m k"]]
+    trace: Callable[..., tuple[SplineBatch, Margins]]
+
+
+def compile_stations(config: PlannerConfig, world: World, vehicle: Vehicle, policy: Policy) -> Stations:
+    """Bind configuration and constants, and compile."""
+
+    @jax.jit
+    def reject(world: World, candidates: Candidates, start: Float[Array, "3"]) -> Candidates:
+        return reject_early(candidates, world, start, config.padding, config.max_speed)
+
+    @jax.jit
+    def route(paths: Float[Array, "k l 3"], shares: Float[Array, "k"]) -> Routes:
+        routes = jax.vmap(lambda path, share: select_route(path, config.knots, share))(paths, shares)
+        return Routes(
+            waypoints=jnp.moveaxis(routes.knots.waypoints, 0, -1),
+            count=routes.knots.count,
+            samples=jnp.moveaxis(routes.samples, 0, -1),
+            reasons=bit(~routes.whole, Reason.PREFIX_ONLY),
+        )
+
+    @jax.jit
+    def read(routes: Routes, state: FlatState) -> tuple[Any, Float[Array, "k"]]:
+        context = policy.encode(routes.waypoints, routes.count)
+        return context, jnp.sum(policy.decode(context, _for_all(state, routes)), axis=0)
+
+    @jax.jit
+    def pick(tree: Any, lanes: Int[Array, "n"]) -> Any:
+        return jax.tree.map(lambda leaf: jnp.take(leaf, lanes, axis=-1), tree)
+
+    @jax.jit
+    def match(context: Any, state: FlatState, arrival_times: Float[Array, "k"]) -> Arrival:
+        initial = state.derivatives[1:]
+        return match_arrival(lambda d: policy.decode(context, d), initial, arrival_times, config.arrival)
+
+    @jax.jit
+    def stretch(routes: Routes, state: FlatState, factor: Float[Array, "k"]) -> Float[Array, "m k"]:
+        context = policy.encode(routes.waypoints, routes.count)
+        return factor * policy.decode(context, _for_all(state, routes))
+
+    @jax.jit
+    def trace(
+        world: World, state: FlatState, routes: Routes, durations: Float[Array, "m k"]
+    ) -> tuple[SplineBatch, Margins]:
+        splines = fit(state, routes.waypoints, durations, config.max_yaw_rate)
+        return splines, check(splines, routes.samples, world, vehicle, config.checks)
+
+    return Stations(
+        functools.partial(reject, world), route, read, pick, match, stretch, functools.partial(trace, world)
+    )
+
+
+def shortened(routes: Routes, longest: int) -> Routes:
+    """The same sequences in arrays of the smallest compiled length that holds ``longest`` waypoints."""
+    length = next(length for length in LENGTHS if longest <= length)
+    return routes._replace(waypoints=routes.waypoints[:length])
+
+
+def _for_all(state: FlatState, routes: Routes) -> Float[Array, "4 3 k"]:
+    return jnp.broadcast_to(state.derivatives[1:, :, None], (4, 3, routes.waypoints.shape[-1]))

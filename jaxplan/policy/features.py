@@ -1,0 +1,97 @@
+"""What the network sees, in a frame of the sequence's own, and what its outputs mean (paper, Sec. II-C).
+
+Positions enter as steps between waypoints, turned about the vertical so that the goal lies ahead (x): a policy then
+serves every room, place and heading alike. Speeds and lengths are compressed logarithmically, which never saturates:
+the arrival matching speeds the initial state up by alpha and must be seen to do so.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxplan.numerics import safe_divide, safe_norm
+
+MEAN_SPEED = 4.0
+"""Speed [m/s] that turns a path's length into its nominal time (the predecessors' value)."""
+SHORTEST = 0.05
+"""Length [m] below which steps count as equally short (arbitrary)."""
+UNITS = (2.0, 4.0, 12.0, 50.0)
+"""m/s, m/s^2, m/s^3, m/s^4 around which velocity to snap go over from linear to logarithmic (arbitrary)."""
+SEGMENT_FEATURES = 10
+STATE_FEATURES = 18
+
+
+class Frame(NamedTuple):
+    """Where a sequence lies and how long it is."""
+
+    cos: Float[Array, "k"]
+    sin: Float[Array, "k"]
+    nominal: Float[Array, "k"]
+    """(path length / mean speed) / segments [s]: the unit of the network's durations."""
+    first: Float[Array, "3 k"]
+    """Unit vector of the first step, in the frame."""
+    length: Float[Array, "k"]
+    """Length of the path [m]."""
+
+
+def sequence_frame(waypoints: Float[Array, "n 3 k"], count: Int[Array, "k"]) -> Frame:
+    """The frame of waypoints [m, world] of which ``count`` are in use; the goal repeats behind them."""
+    ahead = waypoints[-1] - waypoints[0]
+    span = safe_norm(ahead[:2], axis=0)
+    cos = jnp.where(span > 0.0, safe_divide(ahead[0], span), 1.0)
+    sin = safe_divide(ahead[1], span)
+    steps = jnp.diff(waypoints, axis=0)
+    lengths = safe_norm(steps, axis=1)
+    length = jnp.maximum(jnp.sum(lengths, axis=0), SHORTEST)
+    return Frame(
+        cos=cos,
+        sin=sin,
+        nominal=length / MEAN_SPEED / jnp.maximum(count - 1, 1),
+        first=safe_divide(turned(steps[0], cos, sin), lengths[0]),
+        length=length,
+    )
+
+
+def turned(vectors: Float[Array, "*a 3 k"], cos: Float[Array, "k"], sin: Float[Array, "k"]) -> Float[Array, "*a 3 k"]:
+    """Vectors of the world in the sequence's frame."""
+    x, y, z = (vectors[..., axis, :] for axis in range(3))
+    return jnp.stack([cos * x + sin * y, cos * y - sin * x, z], axis=-2)
+
+
+def segment_features(
+    waypoints: Float[Array, "n 3 k"], count: Int[Array, "k"], frame: Frame
+) -> tuple[Float[Array, "m f k"], Bool[Array, "m k"]]:
+    """What the encoder sees of each segment, and which segments are real."""
+    steps = turned(jnp.diff(waypoints, axis=0), frame.cos, frame.sin)
+    lengths = safe_norm(steps, axis=1)
+    directions = safe_divide(steps, lengths[:, None])
+    real = jnp.arange(len(steps))[:, None] < count - 1
+    alike = jnp.sum(directions[:-1] * directions[1:], axis=1)
+    edge = jnp.ones_like(alike[:1])
+    left = 1.0 - safe_divide(jnp.cumsum(lengths, axis=0), frame.length)
+    features = [
+        *(directions[:, axis] for axis in range(3)),
+        jnp.log(lengths + SHORTEST),
+        jnp.log(safe_divide(lengths, MEAN_SPEED * frame.nominal) + SHORTEST),
+        jnp.concatenate([edge, alike]),
+        jnp.concatenate([alike, edge]),
+        left,
+        (jnp.arange(len(steps))[:, None] == count - 2).astype(lengths.dtype),
+        jnp.broadcast_to(0.2 * count, lengths.shape),
+    ]
+    return jnp.where(real[:, None], jnp.stack(features, axis=1), 0.0), real
+
+
+def state_features(initial: Float[Array, "4 3 k"], frame: Frame) -> Float[Array, "f k"]:
+    """What the decoder sees of the initial velocity to snap [SI, world]."""
+    own = turned(initial, frame.cos, frame.sin)
+    sizes = safe_norm(own, axis=1)
+    units = jnp.asarray(UNITS, own.dtype)[:, None]
+    compressed = jnp.arcsinh(sizes / units)
+    vectors = safe_divide(own, sizes[:, None]) * compressed[:, None]
+    along = jnp.sum(own[0] * frame.first, axis=0)
+    stopping = sizes[0] ** 2 / (10.0 * frame.length)
+    scalars = [compressed[0], jnp.arcsinh(along / UNITS[0]), jnp.arcsinh(stopping), jnp.log(frame.length)]
+    scalars += [safe_divide(along, sizes[0]), compressed[1]]
+    return jnp.concatenate([vectors.reshape(12, -1), jnp.stack(scalars)])

@@ -1,0 +1,1 @@
+"""How the shipped policies are made: random worlds, sequences, labels, pretraining."""

@@ -1,0 +1,187 @@
+"""The training set: labelled sequences in shards, each made from its own seed, so that a cut-off run goes on.
+
+One shard is four random rooms and some free space: sequences at rest, and sequences from states in flight on the
+fastest flights along the former. ``dataset.json`` holds what made it and the hash of every shard.
+"""
+
+import dataclasses
+import hashlib
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxplan.errors import FileError, InputError
+from jaxplan.minsnap.batch import SplineBatch
+from jaxplan.numerics import in_float64
+from jaxplan.training.labels import LabelConfig, Queries, rotor_limit_labels, trajectories
+from jaxplan.training.sequences import (
+    Room,
+    free_queries,
+    join,
+    open_room,
+    replan_queries,
+    rest_queries,
+    suffix_queries,
+    take,
+)
+from jaxplan.training.worlds import random_world
+from jaxplan.vehicle.params import Vehicle, load_vehicle
+
+LANES = 512
+"""Sequences that are labelled together."""
+ROOMS = 4
+REST_IN_ROOM, REPLAN_IN_ROOM = 96, 384
+"""Sequences of each room."""
+FREE = LANES - ROOMS * REST_IN_ROOM
+SHARD_SIZE = LANES + ROOMS * REPLAN_IN_ROOM + LANES
+HELD_OUT = 8
+"""Every eighth shard, with all its rooms, is held out for tests."""
+
+
+@dataclasses.dataclass(frozen=True)
+class DatasetConfig:
+    """What is made."""
+
+    shards: int = 48
+    """Of 2,560 sequences each."""
+    seed: int = 1
+    vehicle: str = "mfrl"
+    labels: LabelConfig = LabelConfig()
+
+    def __post_init__(self) -> None:
+        if self.shards < 1 or self.seed < 0:
+            raise InputError(f"dataset: have {self.shards} shards and seed {self.seed}, want at least 1 and 0")
+
+
+class Shard(NamedTuple):
+    """Labelled sequences, batch axis last."""
+
+    queries: Queries
+    durations: Float[np.ndarray, "13 b"]
+    """Rotor-limit label [s]."""
+    feasible: Bool[np.ndarray, "b"]
+    """False where no label was found; the durations mean nothing there."""
+    slowdown: Float[np.ndarray, "b"]
+    """Factor at which the rollout just tracks; NaN where it was not flown."""
+
+
+Labeller = Callable[[Queries], tuple[np.ndarray, np.ndarray]]
+
+
+def build_labels(vehicle: Vehicle, config: LabelConfig) -> Labeller:
+    compiled = jax.jit(lambda queries: rotor_limit_labels(vehicle, queries, config))
+    return in_float64(lambda queries: jax.tree.map(np.asarray, compiled(queries)))
+
+
+def build_flights(config: LabelConfig) -> Callable[[Queries, Float[np.ndarray, "m b"]], SplineBatch]:
+    compiled = jax.jit(lambda queries, durations: trajectories(queries, durations, config.max_yaw_rate))
+    return in_float64(lambda queries, durations: jax.tree.map(np.asarray, compiled(queries, durations)))
+
+
+def make_dataset(folder: Path, config: DatasetConfig, report: Callable[[str], None] = print) -> None:
+    """Write the shards that are missing in ``folder``."""
+    folder.mkdir(parents=True, exist_ok=True)
+    record = {"config": dataclasses.asdict(config), "shard_size": SHARD_SIZE, "held_out_every": HELD_OUT}
+    stated = folder / "dataset.json"
+    if stated.exists() and json.loads(stated.read_text())["config"] != json.loads(json.dumps(record["config"])):
+        raise FileError(f"{folder}: holds a dataset of another configuration; choose another folder")
+    stated.write_text(json.dumps(record, indent=1) + "\n")
+    vehicle = load_vehicle(config.vehicle)
+    label, fly = build_labels(vehicle, config.labels), build_flights(config.labels)
+    for index in range(config.shards):
+        path = shard_path(folder, index)
+        if path.exists():
+            continue
+        shard = make_shard(config, index, label, fly)
+        write_shard(path, shard)
+        report(f"shard {index + 1} of {config.shards}: {shard.feasible.mean():.1%} labelled")
+    hashes = {p.name: digest(p) for p in (shard_path(folder, i) for i in range(config.shards))}
+    stated.write_text(json.dumps({**record, "sha256": hashes}, indent=1) + "\n")
+
+
+def make_shard(config: DatasetConfig, index: int, label: Labeller, fly: Callable) -> Shard:
+    """Shard ``index`` of a dataset, from its own seed."""
+    rng = np.random.default_rng([config.seed, index])
+    rooms: list[Room] = []
+    rest: list[Queries] = []
+    while len(rooms) < ROOMS:
+        room = open_room(random_world(rng, index * ROOMS + len(rooms)))
+        queries = rest_queries(room, rng, REST_IN_ROOM)
+        if queries is not None:
+            rooms.append(room)
+            rest.append(queries)
+    first = join([*rest, free_queries(rng, FREE)])
+    durations, feasible = label(first)
+    flights = fly(first, durations)
+    parts = [(first, durations, feasible)]
+    moving = [_replans(room, rng, place, first, flights, feasible) for place, room in enumerate(rooms)]
+    free = np.arange(ROOMS * REST_IN_ROOM, LANES)
+    lanes = rng.choice(free[feasible[free]], LANES)
+    moving.append(suffix_queries(rng, take(first, lanes), jax.tree.map(lambda leaf: leaf[..., lanes], flights)))
+    whole = join(moving)
+    for begin in range(0, whole.count.shape[0], LANES):
+        chunk = take(whole, np.arange(begin, begin + LANES))
+        parts.append((chunk, *label(chunk)))
+    queries, labels, found = zip(*parts, strict=True)
+    feasible = np.concatenate(found)
+    return Shard(join(list(queries)), np.concatenate(labels, axis=-1), feasible, np.full(len(feasible), np.nan))
+
+
+def _replans(
+    room: Room, rng: np.random.Generator, place: int, first: Queries, flights: SplineBatch, feasible: np.ndarray
+) -> Queries:
+    lanes = np.arange(place * REST_IN_ROOM, (place + 1) * REST_IN_ROOM)
+    lanes = lanes[feasible[lanes]]
+    found = replan_queries(
+        room, rng, take(first, lanes), jax.tree.map(lambda leaf: leaf[..., lanes], flights), REPLAN_IN_ROOM
+    )
+    return found if found is not None else take(first, rng.choice(lanes, REPLAN_IN_ROOM))
+
+
+def shard_path(folder: Path, index: int) -> Path:
+    return folder / f"shard-{index:04d}.npz"
+
+
+def write_shard(path: Path, shard: Shard) -> None:
+    """Whole or not at all."""
+    temporary = path.with_suffix(".part.npz")
+    np.savez_compressed(
+        temporary,
+        waypoints=np.asarray(shard.queries.waypoints, np.float32),
+        count=np.asarray(shard.queries.count, np.int32),
+        derivatives=np.asarray(shard.queries.derivatives, np.float32),
+        yaw=np.asarray(shard.queries.yaw, np.float32),
+        durations=np.asarray(shard.durations, np.float32),
+        feasible=shard.feasible,
+        slowdown=np.asarray(shard.slowdown, np.float32),
+    )
+    os.replace(temporary, path)
+
+
+def read_shard(path: Path) -> Shard:
+    """A shard of ``make_dataset``."""
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            queries = Queries(data["waypoints"], data["count"], data["derivatives"], data["yaw"])
+            return Shard(queries, data["durations"], data["feasible"], data["slowdown"])
+    except (OSError, KeyError, ValueError) as error:
+        raise FileError(f"{path}: cannot be read as a shard of a training set ({error}); make it again") from error
+
+
+def is_held_out(index: int) -> bool:
+    return index % HELD_OUT == HELD_OUT - 1
+
+
+def digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def counts_by_length(counts: Int[np.ndarray, "b"]) -> dict[int, int]:
+    """How many sequences have each number of waypoints."""
+    return {int(n): int(k) for n, k in zip(*np.unique(counts, return_counts=True), strict=True)}

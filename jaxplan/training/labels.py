@@ -1,0 +1,145 @@
+"""Labels: the durations that a policy should give, from the optimiser at the vehicle's boundary (paper eq. 4 to 6).
+
+The ratios are those of the smoothest trajectory for a total time (``minsnap.allocation``, problem b), the total time is
+the least at which no rotor leaves its range (rotor-limit label), yaw included as the planner flies it. A second number
+says how much slower the flight must be for the simulated vehicle to just follow it (rollout label).
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxplan.minsnap.allocation import TimeAllocationConfig, allocate
+from jaxplan.minsnap.batch import SplineBatch, fit_each
+from jaxplan.spline import FlatState
+from jaxplan.vehicle.limits import rotor_limit_margin
+from jaxplan.vehicle.params import Vehicle
+
+
+@dataclasses.dataclass(frozen=True)
+class LabelConfig:
+    """How the boundary is searched."""
+
+    reserve: float = 20.0
+    """Rotor speed [rad/s] that a label stays away from the limits, so that a policy that imitates it passes them."""
+    samples_per_segment: int = 12
+    """Instants of each segment at which the rotors are looked at."""
+    rounds: int = 2
+    """Alternations of ratios and total time."""
+    grid: int = 16
+    """Factors tried first, from ``slowest`` down in equal ratios."""
+    bisections: int = 8
+    """Halvings of the bracket that the grid leaves."""
+    span: tuple[float, float] = (0.35, 6.0)
+    """Least and largest factor of the first guess."""
+    max_yaw_rate: float = 1.5
+    """As the planner's (``PlannerConfig.max_yaw_rate``)."""
+
+
+class Queries(NamedTuple):
+    """What a policy is asked, batch axis last."""
+
+    waypoints: Float[Array, "n 3 b"]
+    """The first is where the vehicle is [m]; behind the last real one the goal is repeated."""
+    count: Int[Array, "b"]
+    """Waypoints in use."""
+    derivatives: Float[Array, "4 3 b"]
+    """Velocity to snap at the start [SI]."""
+    yaw: Float[Array, "3 b"]
+    """Yaw, yaw rate and yaw acceleration at the start [rad, s]."""
+
+
+def queries_at_rest(waypoints: Float[np.ndarray, "n 3 b"], count: Int[np.ndarray, "b"]) -> Queries:
+    """Sequences that begin in hover, heading along their first step."""
+    lanes = waypoints.shape[-1]
+    step = waypoints[1] - waypoints[0]
+    yaw = np.zeros((3, lanes))
+    yaw[0] = np.arctan2(step[1], step[0])
+    return Queries(waypoints, count, np.zeros((4, 3, lanes)), yaw)
+
+
+def trajectories(queries: Queries, durations: Float[Array, "m b"], max_yaw_rate: float) -> SplineBatch:
+    """The planner's trajectories for these durations, to rest at the goal."""
+    derivatives = jnp.concatenate([queries.waypoints[:1], queries.derivatives])
+    return fit_each(FlatState(derivatives=derivatives, yaw=queries.yaw), queries.waypoints, durations, max_yaw_rate)
+
+
+def rotor_limit_labels(
+    vehicle: Vehicle, queries: Queries, config: LabelConfig = LabelConfig()
+) -> tuple[Float[Array, "m b"], Bool[Array, "b"]]:
+    """Durations [s] of the fastest flights found within the rotors' limits, and whether there is one (traced).
+
+    Where the initial state itself is beyond the limits (a state sped up by alpha may be), the flight may demand as
+    much as the initial state does, not more.
+    """
+    count = queries.waypoints.shape[0] - 1
+    real = jnp.arange(count)[:, None] < queries.count - 1
+    durations = jnp.where(real, _first_guess(queries), 0.0)
+    threshold = jnp.minimum(config.reserve, _initial_margin(vehicle, queries) - config.reserve)
+
+    def inside(durations: Float[Array, "m b"]) -> Bool[Array, "b"]:
+        splines = trajectories(queries, durations, config.max_yaw_rate)
+        return least_rotor_margin(vehicle, splines, config.samples_per_segment) >= threshold
+
+    feasible = jnp.zeros(queries.count.shape, bool)
+    for _ in range(config.rounds):
+        ratios = _smoothest(queries, jnp.sum(durations, axis=0), feasible)
+        shorter, found = _shortest(inside, jnp.where(real, ratios, 0.0), config)
+        better = found & ~(feasible & (jnp.sum(durations, axis=0) <= jnp.sum(shorter, axis=0)))
+        durations, feasible = jnp.where(better, shorter, durations), feasible | found
+    return durations, feasible
+
+
+def least_rotor_margin(vehicle: Vehicle, splines: SplineBatch, samples: int) -> Float[Array, "b"]:
+    """The least distance [rad/s] of a rotor from its limits over ``samples`` + 1 instants of every segment."""
+    instants = np.linspace(0.0, 1.0, samples + 1)
+    states = FlatState(derivatives=splines.derivatives(instants), yaw=splines.yaw_derivatives(instants))
+    one = jax.vmap(lambda state: rotor_limit_margin(vehicle, state), in_axes=-1, out_axes=-1)
+    margins = jax.vmap(jax.vmap(one))(states)
+    return jnp.min(jnp.where((splines.durations > 0.0)[:, None], margins, jnp.inf), axis=(0, 1))
+
+
+def _first_guess(queries: Queries) -> Float[Array, "m b"]:
+    """Durations [s] of the right size: to speed up and slow down on a path of this length, and to stop from now."""
+    lengths = jnp.sqrt(jnp.sum(jnp.diff(queries.waypoints, axis=0) ** 2, axis=1)) + 0.02
+    whole = jnp.sum(lengths, axis=0)
+    speed = jnp.sqrt(jnp.sum(queries.derivatives[0] ** 2, axis=0))
+    total = whole / 8.0 + jnp.sqrt(whole / 4.0) + speed / 8.0
+    return total * lengths / whole
+
+
+def _initial_margin(vehicle: Vehicle, queries: Queries) -> Float[Array, "b"]:
+    derivatives = jnp.concatenate([queries.waypoints[:1], queries.derivatives])
+    state = FlatState(derivatives=derivatives, yaw=queries.yaw)
+    return jax.vmap(lambda state: rotor_limit_margin(vehicle, state), in_axes=-1, out_axes=-1)(state)
+
+
+def _smoothest(queries: Queries, total: Float[Array, "b"], feasible: Bool[Array, "b"]) -> Float[Array, "m b"]:
+    """Durations of least snap that add up to ``total``."""
+    settings = TimeAllocationConfig(tolerance=1e-4, max_evaluations=40)
+    found = allocate("fixed", None, settings, queries.waypoints, queries.count - 1, total, queries.derivatives, None)
+    return found.durations
+
+
+def _shortest(
+    inside: Callable[[Float[Array, "m b"]], Bool[Array, "b"]], durations: Float[Array, "m b"], config: LabelConfig
+) -> tuple[Float[Array, "m b"], Bool[Array, "b"]]:
+    """The least feasible multiple: a grid, then bisection below its first success (not monotone when moving)."""
+    factors = jnp.asarray(np.geomspace(*config.span, config.grid), durations.dtype)
+    step = float((config.span[1] / config.span[0]) ** (1.0 / (config.grid - 1)))
+    passed = jax.lax.map(lambda factor: inside(factor * durations), factors)
+    high = factors[jnp.argmax(passed, axis=0)]
+
+    def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = bracket
+        middle = jnp.sqrt(low * high)
+        good = inside(middle * durations)
+        return jnp.where(good, low, middle), jnp.where(good, middle, high)
+
+    _, high = jax.lax.fori_loop(0, config.bisections, halve, (high / step, high))
+    return high * durations, jnp.any(passed, axis=0)

@@ -1,0 +1,282 @@
+"""Pretraining: imitate the optimiser's durations (paper, Sec. II-C), with a bottleneck of limited information.
+
+The error is that of the logarithms, so that short and long flights count alike: of every duration, weighted by its
+share of the flight, and of their sum. A run is a folder: ``state.msgpack`` to go on from, ``metrics.jsonl``, and the
+best weights so far.
+"""
+
+import dataclasses
+import json
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from flax import serialization
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from jaxplan.errors import FileError, InputError
+from jaxplan.policy.features import SEGMENT_FEATURES, STATE_FEATURES
+from jaxplan.policy.network import Bottleneck, NetworkConfig, PolicyNetwork
+from jaxplan.policy.neural import allocate_times, read_sequences
+from jaxplan.search.knots import MAX_WAYPOINTS
+from jaxplan.training.dataset import is_held_out, read_shard, shard_path
+
+SHORT = 7
+"""Sequences of up to this many waypoints train in batches of their own, at half the cost."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PretrainConfig:
+    """How a policy is trained to imitate."""
+
+    network: NetworkConfig = NetworkConfig()
+    steps: int = 30_000
+    batch: int = 512
+    learning_rate: float = 3e-3
+    """At its highest; warmed up and annealed by a cosine."""
+    divergence_weight: float = 1e-4
+    """Weight of the Kullback-Leibler divergence (as the predecessors')."""
+    total_weight: float = 4.0
+    """Weight of the error of the total time."""
+    average: float = 0.999
+    """Decay of the running mean of the weights, which is what is kept."""
+    evaluate_every: int = 1_000
+    patience: int = 10
+    """Evaluations without a better score after which training ends."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "batch", "evaluate_every", "patience"):
+            if getattr(self, name) < 1:
+                raise InputError(f"pretrain: {name} is {getattr(self, name)}, want 1 or more")
+        if not self.learning_rate > 0.0:
+            raise InputError(f"pretrain: learning_rate is {self.learning_rate}, want a positive number")
+
+
+class Examples(NamedTuple):
+    """Labelled sequences, batch axis last."""
+
+    waypoints: Float[Array, "n 3 b"]
+    count: Int[Array, "b"]
+    initial: Float[Array, "4 3 b"]
+    durations: Float[Array, "m b"]
+
+
+class State(NamedTuple):
+    """All that a training run changes."""
+
+    parameters: Any
+    averaged: Any
+    optimiser: Any
+    step: Array
+
+
+class Error(NamedTuple):
+    """Errors of total times on a set of examples, by number of waypoints."""
+
+    mean: dict[int, float]
+    """Mean of T / T_label - 1."""
+    absolute: dict[int, float]
+    """Mean of its magnitude."""
+    overall: float
+    """Mean magnitude over all lengths, each counted alike."""
+
+
+def load_examples(folder: Path, *, held_out: bool) -> Examples:
+    """The labelled sequences of a dataset's training or held-out shards."""
+    stated = folder / "dataset.json"
+    if not stated.exists():
+        raise FileError(f"{folder}: has no dataset.json; make it with jaxplan train dataset")
+    parts = []
+    for index in range(json.loads(stated.read_text())["config"]["shards"]):
+        path = shard_path(folder, index)
+        if is_held_out(index) != held_out or not path.exists():
+            continue
+        shard = read_shard(path)
+        good = shard.feasible & (shard.durations.sum(axis=0) > 0.0)
+        slowdown = np.where(np.isfinite(shard.slowdown), shard.slowdown, 1.0)
+        waypoints = shard.queries.waypoints - shard.queries.waypoints[:1]
+        example = Examples(waypoints, shard.queries.count, shard.queries.derivatives, shard.durations * slowdown)
+        parts.append(Examples(*(leaf[..., good] for leaf in example)))
+    if not parts:
+        raise FileError(f"{folder}: has no {'held-out' if held_out else 'training'} shards; make more")
+    return Examples(*(np.concatenate(leaves, axis=-1) for leaves in zip(*parts, strict=True)))
+
+
+def start_training(config: PretrainConfig) -> State:
+    """Fresh weights."""
+    network = PolicyNetwork(config.network)
+    shapes = (MAX_WAYPOINTS - 1, SEGMENT_FEATURES, 2), (MAX_WAYPOINTS - 1, 2), (STATE_FEATURES, 2)
+    features, real, state = (jnp.ones(shape, jnp.float32) for shape in shapes)
+    parameters = network.init(jax.random.key(config.seed), features, real > 0.0, state)
+    optimiser = _optimiser(config).init(parameters)
+    return State(parameters, parameters, optimiser, jnp.int32(0))
+
+
+def build_step(config: PretrainConfig) -> Callable[[State, Examples, PRNGKeyArray], tuple[State, Array]]:
+    """One compiled gradient step on a batch."""
+    network, optimiser = PolicyNetwork(config.network), _optimiser(config)
+
+    @jax.jit
+    def advance(state: State, batch: Examples, key: PRNGKeyArray) -> tuple[State, Array]:
+        loss, slope = jax.value_and_grad(lambda p: imitation_loss(network, p, batch, key, config))(state.parameters)
+        change, optimiser_state = optimiser.update(slope, state.optimiser, state.parameters)
+        parameters = optax.apply_updates(state.parameters, change)
+        rate = jnp.minimum(config.average, (1.0 + state.step) / (10.0 + state.step))
+        averaged = optax.incremental_update(parameters, state.averaged, 1.0 - rate)
+        return State(parameters, averaged, optimiser_state, state.step + 1), loss
+
+    return advance
+
+
+def imitation_loss(
+    network: PolicyNetwork, parameters: Any, batch: Examples, key: PRNGKeyArray, config: PretrainConfig
+) -> Float[Array, ""]:
+    """Squared errors of the log-durations and of the log total time, and the divergence of the bottleneck."""
+    mirror_key, latent_key = jax.random.split(key)
+    batch = _mirrored(batch, mirror_key)
+    frame, memory, bottleneck = read_sequences(network, parameters, batch.waypoints, batch.count)
+    spread = jnp.exp(0.5 * bottleneck.log_variance)
+    noise = jax.random.normal(latent_key, spread.shape, spread.dtype)
+    memory = memory._replace(latent=bottleneck.mean + spread * noise)
+    durations = allocate_times(network, parameters, memory, frame, batch.initial)
+    wanted = jnp.where(memory.real, batch.durations, 0.0)
+    share = 0.5 * wanted / jnp.sum(wanted, axis=0) + 0.5 * memory.real / jnp.sum(memory.real, axis=0)
+    error = jnp.where(memory.real, _log(durations) - _log(wanted), 0.0)
+    total = _log(jnp.sum(durations, axis=0)) - _log(jnp.sum(wanted, axis=0))
+    losses = jnp.sum(share * _huber(error), axis=0) + config.total_weight * _huber(total)
+    return jnp.mean(losses) + config.divergence_weight * jnp.mean(_divergence(bottleneck))
+
+
+def pretrain(
+    folder: Path, data: Path, config: PretrainConfig, report: Callable[[str], None] = print
+) -> tuple[State, Error]:
+    """Train until the end or until nothing improves; goes on where ``folder`` was left."""
+    folder.mkdir(parents=True, exist_ok=True)
+    training, held_out = load_examples(data, held_out=False), load_examples(data, held_out=True)
+    state, best, stale = _resume(folder, config)
+    advance = build_step(config)
+    measure = build_measure(config)
+    for batch, key in batches(training, config, int(state.step)):
+        state, loss = advance(state, batch, key)
+        step = int(state.step) if int(state.step) % config.evaluate_every == 0 else 0
+        if not step:
+            continue
+        error = measure(state.averaged, held_out)
+        better = error.overall < best
+        best, stale = (error.overall, 0) if better else (best, stale + 1)
+        if better:
+            _write(folder / "best.msgpack", serialization.to_bytes(state.averaged))
+        _write(folder / "state.msgpack", serialization.to_bytes((state._asdict(), best, stale)))
+        row = {"step": step, "loss": float(loss), "error": error.overall, "bias": error.mean}
+        with (folder / "metrics.jsonl").open("a") as log:
+            log.write(json.dumps(row) + "\n")
+        report(f"step {step}: loss {float(loss):.4f}, held-out error of the total time {error.overall:.2%}")
+        if stale >= config.patience:
+            break
+    averaged = serialization.from_bytes(state.averaged, (folder / "best.msgpack").read_bytes())
+    return state._replace(averaged=averaged), measure(averaged, held_out)
+
+
+def batches(examples: Examples, config: PretrainConfig, done: int) -> Iterator[tuple[Examples, PRNGKeyArray]]:
+    """Random batches, step by step from ``done``; the batch of a step depends on the seed and the step alone."""
+    groups = [np.flatnonzero(examples.count <= SHORT), np.flatnonzero(examples.count > SHORT)]
+    chances = [_chances(examples.count[group]) for group in groups]
+    for step in range(done, config.steps):
+        rng = np.random.default_rng([config.seed, step])
+        which = int(rng.random() < 0.5 and len(groups[1]) > 0) if len(groups[0]) else 1
+        lanes = groups[which][np.searchsorted(chances[which], rng.random(config.batch))]
+        segments = (SHORT if which == 0 else MAX_WAYPOINTS) - 1
+        batch = Examples(
+            examples.waypoints[: segments + 1, :, lanes],
+            examples.count[lanes],
+            examples.initial[..., lanes],
+            examples.durations[:segments, lanes],
+        )
+        yield batch, jax.random.fold_in(jax.random.key(config.seed), step)
+
+
+def build_measure(config: PretrainConfig) -> Callable[[Any, Examples], Error]:
+    """Errors of the total times, with the latent's mean."""
+    network = PolicyNetwork(config.network)
+
+    @jax.jit
+    def totals(parameters: Any, examples: Examples) -> Float[Array, "b"]:
+        frame, memory, _ = read_sequences(network, parameters, examples.waypoints, examples.count)
+        return jnp.sum(allocate_times(network, parameters, memory, frame, examples.initial), axis=0)
+
+    def measure(parameters: Any, examples: Examples) -> Error:
+        size = len(examples.count)
+        found = [
+            np.asarray(totals(parameters, Examples(*(leaf[..., lanes] for leaf in examples))))
+            for lanes in np.array_split(np.resize(np.arange(size), -(-size // 4096) * 4096), -(-size // 4096))
+        ]
+        relative = np.concatenate(found)[:size] / examples.durations.sum(axis=0) - 1.0
+        lengths = np.unique(examples.count)
+        mean = {int(n): float(relative[examples.count == n].mean()) for n in lengths}
+        absolute = {int(n): float(np.abs(relative[examples.count == n]).mean()) for n in lengths}
+        return Error(mean, absolute, float(np.mean(list(absolute.values()))))
+
+    return measure
+
+
+def _optimiser(config: PretrainConfig) -> optax.GradientTransformation:
+    warm = min(500, config.steps // 10 + 1)
+    rate = optax.warmup_cosine_decay_schedule(
+        0.0, config.learning_rate, warm, config.steps, 1e-3 * config.learning_rate
+    )
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(rate, weight_decay=1e-5))
+
+
+def _resume(folder: Path, config: PretrainConfig) -> tuple[State, float, int]:
+    """The run in ``folder``, or a new one."""
+    stated, saved = folder / "config.json", folder / "state.msgpack"
+    wanted = json.loads(json.dumps(dataclasses.asdict(config)))
+    if stated.exists() and json.loads(stated.read_text()) != wanted:
+        raise FileError(f"{folder}: holds a run of another configuration; choose another folder")
+    stated.write_text(json.dumps(wanted, indent=1) + "\n")
+    fresh = start_training(config)
+    if not saved.exists():
+        return fresh, np.inf, 0
+    fields, best, stale = serialization.from_bytes((fresh._asdict(), 0.0, 0), saved.read_bytes())
+    return State(**fields), float(best), int(stale)
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Whole or not at all."""
+    temporary = path.with_suffix(".part")
+    temporary.write_bytes(content)
+    os.replace(temporary, path)
+
+
+def _chances(counts: Int[np.ndarray, "b"]) -> Float[np.ndarray, "b"]:
+    """Cumulative chances of being drawn: rare lengths more often, by the square root of their rarity."""
+    weights = 1.0 / np.sqrt(np.bincount(counts, minlength=MAX_WAYPOINTS + 1))[counts]
+    return np.cumsum(weights) / weights.sum()
+
+
+def _mirrored(batch: Examples, key: PRNGKeyArray) -> Examples:
+    """Half of the batch reflected in a vertical plane: a quadrotor flies left as it flies right."""
+    side = jnp.where(jax.random.bernoulli(key, 0.5, batch.count.shape), 1.0, -1.0).astype(batch.waypoints.dtype)
+    flip = jnp.stack([jnp.ones_like(side), side, jnp.ones_like(side)])
+    return batch._replace(waypoints=batch.waypoints * flip, initial=batch.initial * flip)
+
+
+def _divergence(bottleneck: Bottleneck) -> Float[Array, "k"]:
+    """Kullback-Leibler divergence from the standard normal distribution."""
+    mean, log_variance = bottleneck
+    return 0.5 * jnp.sum(mean**2 + jnp.exp(log_variance) - 1.0 - log_variance, axis=0)
+
+
+def _huber(error: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Squared where small, linear where a label is an outlier."""
+    return optax.losses.huber_loss(error, delta=0.2)
+
+
+def _log(x: Float[Array, "..."]) -> Float[Array, "..."]:
+    return jnp.log(jnp.maximum(x, 1e-3))
