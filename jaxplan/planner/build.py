@@ -4,6 +4,7 @@ Only what can win is matched, solved and checked: a candidate's score does not d
 are taken in order of score, some at a time, until one passes. The winner is that of an exhaustive evaluation.
 """
 
+import functools
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -11,6 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int, UInt32
 
+from jaxplan.minsnap.batch import SplineBatch
 from jaxplan.numerics import in_float64
 from jaxplan.planner.lanes import bucket_for, join_lanes, pad, scatter
 from jaxplan.planner.records import (
@@ -25,23 +27,39 @@ from jaxplan.planner.records import (
 from jaxplan.planner.stations import LENGTHS, Routes, Stations, compile_stations, shortened
 from jaxplan.policy.protocol import Policy
 from jaxplan.prediction.candidates import Candidates, candidates_from
-from jaxplan.search.lattice import Paths, SearchConfig, build_lattices
+from jaxplan.search.lattice import Lattices, Paths, SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes
 from jaxplan.search.routes import warmup as warm_up_search
+from jaxplan.selection import Margins
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.obstacles import World
 
 
-class Evaluated(NamedTuple):
-    """Trajectories of some lanes of the routes, in the order of ``lanes``."""
+class Parts(NamedTuple):
+    """What a planner is made of."""
 
-    lanes: Int[np.ndarray, "n"]
+    config: PlannerConfig
+    stations: Stations
+    lattices: Lattices
+    world: World
+
+    def search(self, state: FlatState, goals: Float[np.ndarray, "k 3"], target: Float[np.ndarray, "3"]) -> Paths:
+        """Taut paths from the state to the goals; the distance to the target chooses the lattice."""
+        start = np.asarray(state.pos)
+        distance = float(np.linalg.norm(target - start))
+        return find_routes(self.lattices, self.world, start, goals, distance, capacity=self.config.path_capacity)
+
+
+class Evaluated(NamedTuple):
+    """What became of the candidates ``members`` in one round."""
+
+    members: Int[np.ndarray, "n"]
     alpha: Float[np.ndarray, "n"]
     reasons: UInt32[np.ndarray, "n"]
-    traced: Any
-    """(splines, margins) with at least n lanes."""
+    traced: tuple[SplineBatch, Margins]
+    """At least n lanes."""
 
 
 def build_planner(config: PlannerConfig | None = None, *, world: World, vehicle: Vehicle, policy: Policy) -> Planner:
@@ -49,96 +67,92 @@ def build_planner(config: PlannerConfig | None = None, *, world: World, vehicle:
     config = config or PlannerConfig()
     lattices = build_lattices(world, SearchConfig(padding=config.padding))
     world = in_float64(jax.device_put)(world)
-    stations = compile_stations(config, world, vehicle, policy)
+    parts = Parts(config, compile_stations(config, world, vehicle, policy), lattices, world)
+    return Planner(
+        plan_batch=functools.partial(in_float64(_plan_batch), parts),
+        approach=functools.partial(in_float64(_approach), parts),
+        warmup=functools.partial(in_float64(_warmup), parts),
+        config=config,
+    )
 
-    def search(state: FlatState, goals: Float[np.ndarray, "k 3"], target: Float[np.ndarray, "3"]) -> Paths:
-        start = np.asarray(state.pos)
-        distance = float(np.linalg.norm(target - start))
-        return find_routes(lattices, world, start, goals, distance, capacity=config.path_capacity)
 
-    @in_float64
-    def plan_batch(state: FlatState, candidates: Candidates, timer: Timer | None = None) -> Plans:
-        timer = timer or Timer()
-        reasons, goals, times = _rejected(stations, state, candidates, config.buckets)
-        score = config.likelihood_weight * np.asarray(candidates.likelihood) - times
-        chosen = np.flatnonzero(reasons == 0)
-        timer.lap("reject")
-        paths = search(state, goals[chosen], candidates.target)
-        timer.lap("search")
-        bucket = bucket_for(len(chosen), config.buckets)
-        routes = stations.route(pad(paths.points, bucket, fill=state.pos), np.ones(bucket))
-        routes = shortened(routes, int(np.asarray(routes.count).max()))
-        timer.lap("knots", routes)
-        context, least = stations.read(routes, state)
-        least_times = np.asarray(least)[: len(chosen)]
-        timer.lap("policy")
-        reasons[chosen] |= paths.reasons | np.asarray(routes.reasons)[: len(chosen)]
-        late = ~(least_times <= (1.0 + config.arrival.tolerance) * times[chosen])
-        reasons[chosen[late]] |= np.uint32(Reason.ALPHA_LT_1)
-        alpha = scatter(times[chosen] / least_times, chosen, len(goals), np.nan)
-        lane_of = scatter(np.arange(len(chosen)), chosen, len(goals), -1)
-        order = chosen if config.exhaustive else _by_score(score, reasons)
-        evaluated = list(_evaluate(stations, config, state, routes, context, times, lane_of, order, timer))
-        done = join_lanes([(part.traced, len(part.lanes)) for part in evaluated])
-        lanes = np.full(len(goals), -1)
-        for part in evaluated:
-            lanes[part.lanes] = np.arange(len(part.lanes)) + lanes.max() + 1
-            alpha[part.lanes] = part.alpha
-            reasons[part.lanes] |= part.reasons
-        reasons[np.setdiff1d(order, np.flatnonzero(lanes >= 0))] |= np.uint32(Reason.OUTRANKED)
-        splines, margins = done
-        return Plans(
-            goals=goals,
-            arrival_times=times,
-            reasons=reasons,
-            score=score,
-            alpha=alpha,
-            lanes=lanes,
-            splines=splines,
-            margins=margins,
-        )
+def _plan_batch(parts: Parts, state: FlatState, candidates: Candidates, timer: Timer | None = None) -> Plans:
+    config, stations, timer = parts.config, parts.stations, timer or Timer()
+    reasons, goals, times = _rejected(stations, state, candidates, config.buckets)
+    score = config.likelihood_weight * np.asarray(candidates.likelihood) - times
+    chosen = np.flatnonzero(reasons == 0)
+    timer.lap("reject")
+    paths = parts.search(state, goals[chosen], candidates.target)
+    timer.lap("search")
+    bucket = bucket_for(len(chosen), config.buckets)
+    routes = stations.route(pad(paths.points, bucket, fill=state.pos), np.ones(bucket))
+    routes = shortened(routes, int(np.asarray(routes.count).max()))
+    reasons[chosen] |= paths.reasons | np.asarray(routes.reasons)[: len(chosen)]
+    timer.lap("knots")
+    context, least = stations.read(routes, state)
+    shares = times[chosen] / np.asarray(least)[: len(chosen)]
+    reasons[chosen] |= np.where(shares >= 1.0 - config.arrival.tolerance, 0, Reason.ALPHA_LT_1).astype(np.uint32)
+    timer.lap("policy")
+    lane_of = scatter(np.arange(len(chosen)), chosen, len(goals), 0)
+    order = chosen if config.exhaustive else _by_score(score, reasons)
+    rounds = list(_evaluate(parts, state, routes, context, times, lane_of, order, timer))
+    alpha, lanes = scatter(shares, chosen, len(goals), np.nan), np.full(len(goals), -1)
+    for part in rounds:
+        lanes[part.members] = np.arange(len(part.members)) + lanes.max() + 1
+        alpha[part.members] = part.alpha
+        reasons[part.members] |= part.reasons
+    reasons[order[lanes[order] < 0]] |= np.uint32(Reason.OUTRANKED)
+    splines, margins = join_lanes([(part.traced, len(part.members)) for part in rounds])
+    timer.lap("select")
+    return Plans(
+        goals=goals,
+        arrival_times=times,
+        reasons=reasons,
+        score=score,
+        alpha=alpha,
+        lanes=lanes,
+        splines=splines,
+        margins=margins,
+    )
 
-    @in_float64
-    def approach(state: FlatState, candidates: Candidates, timer: Timer | None = None) -> Plans:
-        timer = timer or Timer()
-        reasons, goals, times = _rejected(stations, state, candidates, config.buckets)
-        chosen = _latest_goals(reasons, goals, times)
-        paths = search(state, goals[chosen], candidates.target)
-        lanes, shares, stretches = (axis.ravel() for axis in np.meshgrid(*_approach_axes(len(chosen)), indexing="ij"))
-        bucket = bucket_for(len(lanes), config.buckets)
-        routes = stations.route(pad(paths.points[lanes], bucket, state.pos), pad(shares, bucket, 1.0))
-        routes = shortened(routes, int(np.asarray(routes.count).max()))
-        durations = stations.stretch(routes, state, pad(stretches, bucket, 1.0))
-        splines, margins = stations.trace(state, routes, durations)
-        whole_time = np.asarray(durations).sum(axis=0)[: len(lanes)] / shares
-        failed = np.asarray(margins.reasons)[: len(lanes)] | (paths.reasons & ~np.uint32(Reason.PREFIX_ONLY))[lanes]
-        timer.lap("approach")
-        return Plans(
-            goals=goals[chosen][lanes],
-            arrival_times=times[chosen][lanes],
-            reasons=failed,
-            score=times[chosen][lanes] - whole_time,
-            alpha=stretches,
-            lanes=np.arange(len(lanes)),
-            splines=splines,
-            margins=margins,
-        )
 
-    @in_float64
-    def warmup(state: FlatState) -> None:
-        warm_up_search(lattices, world, config.path_capacity)
-        _compile_all(stations, config, state)
-        for count in config.buckets:
-            candidates = _around(state, count)
-            plan_batch(state, candidates)
-            approach(state, candidates)
+def _approach(parts: Parts, state: FlatState, candidates: Candidates, timer: Timer | None = None) -> Plans:
+    config, stations, timer = parts.config, parts.stations, timer or Timer()
+    reasons, goals, times = _rejected(stations, state, candidates, config.buckets)
+    chosen = _latest_goals(reasons, goals, times)
+    paths = parts.search(state, goals[chosen], candidates.target)
+    lanes, shares, stretches = (axis.ravel() for axis in np.meshgrid(*_approach_axes(len(chosen)), indexing="ij"))
+    bucket = bucket_for(len(lanes), config.buckets)
+    routes = stations.route(pad(paths.points[lanes], bucket, state.pos), pad(shares, bucket, 1.0))
+    routes = shortened(routes, int(np.asarray(routes.count).max()))
+    durations = stations.stretch(routes, state, pad(stretches, bucket, 1.0))
+    splines, margins = stations.trace(state, routes, durations)
+    whole_time = np.asarray(durations).sum(axis=0)[: len(lanes)] / shares
+    failed = np.asarray(margins.reasons)[: len(lanes)] | (paths.reasons & ~np.uint32(Reason.PREFIX_ONLY))[lanes]
+    timer.lap("approach")
+    return Plans(
+        goals=goals[chosen][lanes],
+        arrival_times=times[chosen][lanes],
+        reasons=failed,
+        score=times[chosen][lanes] - whole_time,
+        alpha=stretches,
+        lanes=np.arange(len(lanes)),
+        splines=splines,
+        margins=margins,
+    )
 
-    return Planner(plan_batch, approach, warmup, config)
+
+def _warmup(parts: Parts, state: FlatState) -> None:
+    warm_up_search(parts.lattices, parts.world, parts.config.path_capacity)
+    _compile_all(parts.stations, parts.config, state)
+    for count in parts.config.buckets:
+        candidates = _around(state, count)
+        _plan_batch(parts, state, candidates)
+        _approach(parts, state, candidates)
 
 
 def _evaluate(
-    stations: Stations,
-    config: PlannerConfig,
+    parts: Parts,
     state: FlatState,
     routes: Routes,
     context: Any,
@@ -151,7 +165,7 @@ def _evaluate(
 
     At least one round is run, so that there are arrays to return.
     """
-    begin = 0
+    stations, config, begin = parts.stations, parts.config, 0
     for size in _rounds(len(order), config):
         members = order[begin : begin + size]
         lanes = pad(lane_of[members], size, fill=0)
