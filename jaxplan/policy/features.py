@@ -67,7 +67,7 @@ def segment_features(
     lengths = safe_norm(steps, axis=1)
     directions = safe_divide(steps, lengths[:, None])
     real = jnp.arange(len(steps))[:, None] < count - 1
-    alike = jnp.sum(directions[:-1] * directions[1:], axis=1)
+    alike = jnp.where(real[1:], jnp.sum(directions[:-1] * directions[1:], axis=1), 1.0)
     edge = jnp.ones_like(alike[:1])
     left = 1.0 - safe_divide(jnp.cumsum(lengths, axis=0), frame.length)
     features = [

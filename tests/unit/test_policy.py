@@ -1,0 +1,175 @@
+"""The learned policy: symmetries, masking, sensitivity to the initial state, and what its files refuse.
+
+The weights are random here; all of this holds for any weights.
+"""
+
+import functools
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxplan.errors import FileError
+from jaxplan.policy.checkpoint import load_policy, policy_card, save_policy
+from jaxplan.policy.features import SEGMENT_FEATURES, STATE_FEATURES, segment_features, sequence_frame, state_features
+from jaxplan.policy.network import NetworkConfig, PolicyNetwork
+from jaxplan.policy.neural import neural_policy
+
+CONFIG = NetworkConfig(hidden=16, attention=8, latent=4)
+
+
+def random_parameters(seed=0):
+    network = PolicyNetwork(CONFIG)
+    shapes = (13, SEGMENT_FEATURES, 2), (13, 2), (STATE_FEATURES, 2)
+    features, real, state = (jnp.ones(shape, jnp.float32) for shape in shapes)
+    parameters = network.init(jax.random.key(seed), features, real > 0.0, state)
+    return jax.tree.map(lambda leaf: np.asarray(2.0 * leaf), parameters)
+
+
+@pytest.fixture(scope="module")
+def policy():
+    return neural_policy("random", CONFIG, random_parameters())
+
+
+def sequences(counts, seed=0, scale=2.0):
+    rng = np.random.default_rng(seed)
+    counts = np.asarray(counts)
+    points = np.cumsum(rng.normal(size=(14, 3, len(counts))) * scale, axis=0)
+    for lane, count in enumerate(counts):
+        points[count:, :, lane] = points[count - 1, :, lane]
+    initial = rng.normal(size=(4, 3, len(counts))) * np.array([3.0, 5.0, 10.0, 40.0])[:, None, None]
+    return points, counts, initial
+
+
+@functools.lru_cache
+def compiled(policy):
+    return jax.jit(lambda points, counts, initial: policy.decode(policy.encode(points, counts), initial))
+
+
+def durations(policy, points, counts, initial):
+    with jax.enable_x64(True):
+        return np.asarray(compiled(policy)(points, counts, initial))
+
+
+def test_durations_are_positive_on_segments_and_0_on_padding(policy):
+    points, counts, initial = sequences(range(2, 15))
+    found = durations(policy, points, counts, initial)
+    real = np.arange(13)[:, None] < counts - 1
+    assert found.dtype == np.float64
+    assert np.isfinite(found).all()
+    assert (found[real] > 0.0).all()
+    assert (found[~real] == 0.0).all()
+
+
+def test_padding_and_neighbours_do_not_matter(policy):
+    points, counts, initial = sequences([2, 5, 7, 3])
+    whole = durations(policy, points, counts, initial)
+    np.testing.assert_allclose(durations(policy, points[:7], counts, initial), whole[:6], rtol=1e-5)
+    alone = durations(policy, points[..., 1:2], counts[1:2], initial[..., 1:2])
+    np.testing.assert_allclose(alone[:, 0], whole[:, 1], rtol=1e-5)
+
+
+def test_the_room_and_the_heading_do_not_matter(policy):
+    points, counts, initial = sequences([4, 9, 14])
+    turn = 2.1
+    rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]])
+    moved = np.einsum("ij,njk->nik", rotation, points) + np.array([30.0, -12.0, 1.0])[:, None]
+    turned = np.einsum("ij,njk->nik", rotation, initial)
+    np.testing.assert_allclose(
+        durations(policy, moved, counts, turned), durations(policy, points, counts, initial), rtol=2e-4
+    )
+
+
+def test_every_derivative_is_seen_over_its_whole_range(policy):
+    """Nothing saturates: doubling any derivative changes the durations, however large it is."""
+    points, counts, initial = sequences([6] * 5, scale=1.0)
+    points[:], initial[:] = points[..., :1], 0.1 * initial[..., :1]
+    for order in range(4):
+        for size in (1.0, 10.0, 100.0):
+            one, two = initial.copy(), initial.copy()
+            one[order] *= size
+            two[order] *= 2.0 * size
+            slow, fast = durations(policy, points, counts, one)[:5], durations(policy, points, counts, two)[:5]
+            assert np.abs(slow / fast - 1.0).max() > 1e-4
+
+
+def test_degenerate_sequences_give_finite_durations_and_gradients(policy):
+    points, counts, initial = sequences([5, 5, 2, 3])
+    points[:, :, 0] = points[:1, :, 0]
+    points[:, :2, 1] = points[:1, :2, 1]
+    points[2] = points[1]
+    initial[..., 2:] = 0.0
+
+    def total(points, initial):
+        return jnp.sum(policy.decode(policy.encode(points, counts), initial))
+
+    with jax.enable_x64(True):
+        value, slopes = jax.value_and_grad(total, argnums=(0, 1))(jnp.asarray(points), jnp.asarray(initial))
+    assert np.isfinite(value)
+    assert all(np.isfinite(slope).all() for slope in slopes)
+
+
+def test_features_have_their_stated_shapes():
+    points, counts, initial = sequences([3, 14])
+    frame = sequence_frame(jnp.asarray(points), jnp.asarray(counts, float))
+    features, real = segment_features(jnp.asarray(points), jnp.asarray(counts, float), frame)
+    assert features.shape == (13, SEGMENT_FEATURES, 2)
+    assert real.sum(axis=0).tolist() == [2, 13]
+    assert state_features(jnp.asarray(initial), frame).shape == (STATE_FEATURES, 2)
+
+
+def test_checkpoints_come_back_as_they_were(tmp_path, policy):
+    path = tmp_path / "mine.npz"
+    save_policy(path, CONFIG, random_parameters(), {"command": "none", "scores": {"error": 1.0}})
+    loaded = load_policy(path)
+    given = sequences([4, 8, 14])
+    np.testing.assert_array_equal(durations(loaded, *given), durations(policy, *given))
+    assert loaded.name == "mine"
+    assert policy_card(path)["command"] == "none"
+
+
+def test_one_flipped_bit_anywhere_is_refused_or_harmless(tmp_path, policy):
+    """Most of a file is weights; a few bytes of the container's dates and flags carry no meaning."""
+    path = tmp_path / "mine.npz"
+    save_policy(path, CONFIG, random_parameters(), {})
+    content = path.read_bytes()
+    rng = np.random.default_rng(0)
+    given = sequences([4, 8, 14])
+    truth = durations(policy, *given)
+    refused = 0
+    for place in rng.choice(len(content), 60, replace=False):
+        broken = bytearray(content)
+        broken[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(bytes(broken))
+        try:
+            loaded = load_policy(path)
+        except FileError:
+            refused += 1
+        else:
+            np.testing.assert_array_equal(durations(loaded, *given), truth)
+    assert refused > 50
+
+
+@pytest.mark.parametrize("change", ["format", "network", "golden"])
+def test_foreign_checkpoints_are_refused(tmp_path, change):
+    path = tmp_path / "other.npz"
+    save_policy(path, CONFIG, random_parameters(), {})
+    with np.load(path) as data:
+        arrays = dict(data)
+    header = json.loads(arrays.pop("header").tobytes())
+    if change == "format":
+        header["format"] = 99
+    elif change == "network":
+        header["network"]["hidden"] = 32
+    else:
+        header["golden"][0][0] *= 1.01
+    np.savez(path, header=np.frombuffer(json.dumps(header).encode(), np.uint8), **arrays)
+    with pytest.raises(FileError, match=r"other\.npz"):
+        load_policy(path)
+
+
+def test_unknown_names_are_refused_with_the_known_ones():
+    with pytest.raises(FileError, match="neither a file nor a shipped policy"):
+        load_policy("no-such-policy")
