@@ -15,7 +15,9 @@ from jaxplan.errors import InputError
 from jaxplan.io.targets import Target, load_target
 from jaxplan.numerics import in_float64
 from jaxplan.planner import APPROACH_LANES, PlannerConfig, build_planner
+from jaxplan.policy.checkpoint import load_policy
 from jaxplan.policy.constant_speed import constant_speed_policy
+from jaxplan.policy.protocol import Policy
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.predictors import PredictionConfig, StepPredictor, build_predictor, candidate_count
 from jaxplan.prediction.stream import ObservationStream, StreamConfig
@@ -135,7 +137,7 @@ def prepare(config: InterceptConfig) -> Scenario:
     position = _start(config, world, target, planner_config.padding)
     _check_start(position, world, vehicle, distance)
     start = hover(position)
-    planner = build_planner(planner_config, world=world, vehicle=vehicle, policy=constant_speed_policy())
+    planner = build_planner(planner_config, world=world, vehicle=vehicle, policy=_policy(config.planner))
     predictor = _predictor(config, prediction, target, world)
     return Scenario(
         world=world,
@@ -274,6 +276,11 @@ def _check_start(position: Float[np.ndarray, "3"], world: World, vehicle: Vehicl
             f"start ({where}) m: its clearance in world {world.name!r} is {free:.2f} m, want at least the vehicle's "
             f"radius {float(vehicle.radius):.2f} m; choose --start inside the room and away from obstacles"
         )
+
+
+def _policy(planner: str) -> Policy:
+    """The time allocation that ``--planner`` names."""
+    return constant_speed_policy() if planner == "no-policy" else load_policy(planner)
 
 
 def _start(config: InterceptConfig, world: World, target: Target, padding: float) -> Float[np.ndarray, "3"]:

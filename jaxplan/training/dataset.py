@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float, Int
 from jaxplan.errors import FileError, InputError
 from jaxplan.minsnap.batch import SplineBatch
 from jaxplan.numerics import in_float64
-from jaxplan.training.labels import LabelConfig, Queries, rotor_limit_labels, trajectories
+from jaxplan.training.labels import LabelConfig, Queries, rollout_slowdown, rotor_limit_labels, trajectories
 from jaxplan.training.sequences import (
     Room,
     free_queries,
@@ -68,7 +68,8 @@ class Shard(NamedTuple):
     feasible: Bool[np.ndarray, "b"]
     """False where no label was found; the durations mean nothing there."""
     slowdown: Float[np.ndarray, "b"]
-    """Factor at which the rollout just tracks; NaN where it was not flown."""
+    """Factor by which a flight must be slower for the rollout to track it; infinite where none tried was slow
+    enough, NaN where none was flown."""
 
 
 Labeller = Callable[[Queries], tuple[np.ndarray, np.ndarray]]
@@ -101,7 +102,32 @@ def make_dataset(folder: Path, config: DatasetConfig, report: Callable[[str], No
         shard = make_shard(config, index, label, fly)
         write_shard(path, shard)
         report(f"shard {index + 1} of {config.shards}: {shard.feasible.mean():.1%} labelled")
-    hashes = {p.name: digest(p) for p in (shard_path(folder, i) for i in range(config.shards))}
+    _state_hashes(folder, stated, record, config.shards)
+
+
+def add_rollouts(folder: Path, report: Callable[[str], None] = print) -> None:
+    """Fly the labelled sequences of all shards that have not been flown yet."""
+    stated = folder / "dataset.json"
+    if not stated.exists():
+        raise FileError(f"{folder}: has no dataset.json; make it with jaxplan train dataset")
+    record = json.loads(stated.read_text())
+    config = record["config"]
+    vehicle = load_vehicle(config["vehicle"])
+    fly = build_flights(LabelConfig(**{**config["labels"], "span": tuple(config["labels"]["span"])}))
+    for index in range(config["shards"]):
+        path = shard_path(folder, index)
+        shard = read_shard(path)
+        if not np.isnan(shard.slowdown[shard.feasible]).any():
+            continue
+        slowdown = rollout_slowdown(vehicle, shard.queries, shard.durations, shard.feasible, fly)
+        write_shard(path, shard._replace(slowdown=slowdown))
+        tracked = np.mean(slowdown[shard.feasible] == 1.0)
+        report(f"shard {index + 1} of {config['shards']}: {tracked:.1%} tracked at the rotors' limit")
+    _state_hashes(folder, stated, record, config["shards"])
+
+
+def _state_hashes(folder: Path, stated: Path, record: dict, shards: int) -> None:
+    hashes = {p.name: digest(p) for p in (shard_path(folder, i) for i in range(shards))}
     stated.write_text(json.dumps({**record, "sha256": hashes}, indent=1) + "\n")
 
 

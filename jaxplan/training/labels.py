@@ -17,8 +17,12 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxplan.minsnap.allocation import TimeAllocationConfig, allocate
 from jaxplan.minsnap.batch import SplineBatch, fit_each
 from jaxplan.spline import FlatState
+from jaxplan.tracking.track import track
 from jaxplan.vehicle.limits import rotor_limit_margin
 from jaxplan.vehicle.params import Vehicle
+
+SLOWDOWNS = (1.0, 1.05, 1.1, 1.2, 1.35, 1.6, 2.0)
+"""Factors of the rotor-limit durations that are flown, one after the other, until the vehicle keeps up."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,7 +42,7 @@ class LabelConfig:
     span: tuple[float, float] = (0.35, 6.0)
     """Least and largest factor of the first guess."""
     max_yaw_rate: float = 1.5
-    """As the planner's (``PlannerConfig.max_yaw_rate``)."""
+    """As the planner's (``PlannerConfig.max_yaw_rate``) [rad/s]."""
 
 
 class Queries(NamedTuple):
@@ -93,6 +97,30 @@ def rotor_limit_labels(
         better = found & ~(feasible & (jnp.sum(durations, axis=0) <= jnp.sum(shorter, axis=0)))
         durations, feasible = jnp.where(better, shorter, durations), feasible | found
     return durations, feasible
+
+
+def rollout_slowdown(
+    vehicle: Vehicle,
+    queries: Queries,
+    durations: Float[np.ndarray, "m b"],
+    feasible: Bool[np.ndarray, "b"],
+    fly: Callable[[Queries, Float[np.ndarray, "m b"]], SplineBatch],
+) -> Float[np.ndarray, "b"]:
+    """The least of ``SLOWDOWNS`` by which ``durations`` are multiplied for the vehicle to track the flight (host).
+
+    Thresholds of training (0.20 m, 15 degrees), default noise. Infinite where even the last one is too fast; NaN
+    where there is no label to begin with.
+    """
+    slowdown = np.where(feasible, np.inf, np.nan)
+    for factor in SLOWDOWNS:
+        left = np.flatnonzero(slowdown == np.inf)
+        if len(left) == 0:
+            break
+        flights = fly(queries, factor * durations)
+        some = jax.tree.map(lambda leaf, lanes=left: np.asarray(leaf)[..., lanes], flights)
+        tracked = track(some, vehicle=vehicle, indices=left).feasible
+        slowdown[left[tracked]] = factor
+    return slowdown
 
 
 def least_rotor_margin(vehicle: Vehicle, splines: SplineBatch, samples: int) -> Float[Array, "b"]:

@@ -98,8 +98,8 @@ def load_examples(folder: Path, *, held_out: bool) -> Examples:
         if is_held_out(index) != held_out or not path.exists():
             continue
         shard = read_shard(path)
-        good = shard.feasible & (shard.durations.sum(axis=0) > 0.0)
-        slowdown = np.where(np.isfinite(shard.slowdown), shard.slowdown, 1.0)
+        good = shard.feasible & (shard.durations.sum(axis=0) > 0.0) & (shard.slowdown != np.inf)
+        slowdown = np.where(np.isnan(shard.slowdown), 1.0, shard.slowdown)
         waypoints = shard.queries.waypoints - shard.queries.waypoints[:1]
         example = Examples(waypoints, shard.queries.count, shard.queries.derivatives, shard.durations * slowdown)
         parts.append(Examples(*(leaf[..., good] for leaf in example)))

@@ -1,0 +1,190 @@
+"""How policies are made: worlds, sequences, labels, shards, and training that goes on where it stopped."""
+
+import dataclasses
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxplan.errors import FileError, InputError
+from jaxplan.policy.network import NetworkConfig
+from jaxplan.spline import FlatState
+from jaxplan.training.dataset import (
+    Shard,
+    build_flights,
+    build_labels,
+    is_held_out,
+    read_shard,
+    shard_path,
+    write_shard,
+)
+from jaxplan.training.labels import LabelConfig, least_rotor_margin, queries_at_rest, rollout_slowdown
+from jaxplan.training.pretrain import PretrainConfig, load_examples, pretrain, start_training
+from jaxplan.training.sequences import SPEED_UP, free_queries, in_flight, join, open_room, rest_queries, take
+from jaxplan.training.worlds import SIZES, random_world
+from jaxplan.vehicle.params import load_vehicle
+
+SMALL = PretrainConfig(network=NetworkConfig(hidden=8, attention=4, latent=2), steps=40, batch=32, evaluate_every=20)
+
+
+def test_random_worlds_differ_but_share_their_shapes():
+    worlds = [random_world(np.random.default_rng([3, index]), index) for index in range(12)]
+    shapes = {tuple(np.shape(leaf) for leaf in jax.tree.leaves(world)) for world in worlds}
+    assert len(shapes) == 1
+    sizes = np.array([np.diff(world.bounds, axis=0)[0] for world in worlds])
+    assert (sizes >= SIZES[0]).all()
+    assert (sizes <= SIZES[1]).all()
+    assert len({world.provenance for world in worlds}) >= 3
+    again = random_world(np.random.default_rng([3, 5]), 5)
+    np.testing.assert_array_equal(again.boxes.center, worlds[5].boxes.center)
+
+
+def test_routed_sequences_start_and_end_free_and_repeat_their_goal():
+    room = open_room(random_world(np.random.default_rng([3, 1]), 1))
+    found = rest_queries(room, np.random.default_rng(0), 32)
+    assert found.waypoints.shape == (14, 3, 32)
+    assert ((found.count >= 2) & (found.count <= 14)).all()
+    for lane, count in enumerate(found.count):
+        steps = np.linalg.norm(np.diff(found.waypoints[..., lane], axis=0), axis=1)
+        assert (steps[: count - 1] > 0.0).all()
+        np.testing.assert_allclose(steps[count - 1 :], 0.0, atol=1e-9)
+    lower, upper = room.world.bounds
+    assert ((found.waypoints > lower[:, None]) & (found.waypoints < upper[:, None])).all()
+
+
+def test_free_sequences_have_all_lengths_and_states_in_flight_are_scaled_like_alpha():
+    found = free_queries(np.random.default_rng(1), 400)
+    assert set(found.count) == set(range(2, 15))
+    derivatives = np.arange(15.0).reshape(5, 3) + 1.0
+    state = FlatState(derivatives=derivatives, yaw=np.array([0.3, 0.2, 0.1]))
+    moving = in_flight(found, state, np.random.default_rng(2))
+    alpha = moving.derivatives[0, 0] / derivatives[1, 0]
+    assert (alpha >= SPEED_UP[0] - 1e-9).all()
+    assert (alpha <= SPEED_UP[1] + 1e-9).all()
+    assert 0.3 < np.mean(alpha == 1.0) < 0.5
+    for order in range(4):
+        np.testing.assert_allclose(moving.derivatives[order, 1], derivatives[order + 1, 1] * alpha ** (order + 1))
+    np.testing.assert_allclose(moving.yaw[2], 0.1 * alpha**2)
+
+
+def made_up_shard(seed, lanes=256):
+    """Sequences whose durations are a simple function of lengths and speed: something to learn."""
+    rng = np.random.default_rng(seed)
+    queries = free_queries(rng, lanes)
+    derivatives = np.zeros((4, 3, lanes))
+    derivatives[0] = rng.normal(size=(3, lanes)) * 2.0
+    lengths = np.linalg.norm(np.diff(queries.waypoints, axis=0), axis=1)
+    durations = lengths / 3.0 * (1.0 + 0.05 * np.linalg.norm(derivatives[0], axis=0))
+    feasible = np.ones(lanes, bool)
+    return Shard(queries._replace(derivatives=derivatives), durations, feasible, np.full(lanes, np.nan))
+
+
+@pytest.fixture
+def data(tmp_path):
+    folder = tmp_path / "data"
+    folder.mkdir()
+    (folder / "dataset.json").write_text(json.dumps({"config": {"shards": 8}}))
+    for index in range(8):
+        write_shard(shard_path(folder, index), made_up_shard(index))
+    return folder
+
+
+def test_shards_come_back_and_damaged_ones_are_refused(tmp_path):
+    path, shard = tmp_path / "shard-0000.npz", made_up_shard(0, 16)
+    write_shard(path, shard)
+    back = read_shard(path)
+    np.testing.assert_allclose(back.durations, shard.durations, rtol=1e-6)
+    np.testing.assert_array_equal(back.queries.count, shard.queries.count)
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(FileError, match=r"shard-0000\.npz"):
+        read_shard(path)
+
+
+def test_training_and_held_out_sequences_are_apart(data):
+    assert sum(is_held_out(index) for index in range(64)) == 8
+    training, held_out = load_examples(data, held_out=False), load_examples(data, held_out=True)
+    assert len(training.count) == 7 * 256
+    assert len(held_out.count) == 256
+    np.testing.assert_allclose(held_out.durations, made_up_shard(7).durations, rtol=1e-6)
+
+
+def test_flights_that_were_never_tracked_are_not_imitated(data):
+    shard = read_shard(shard_path(data, 7))
+    slowdown = np.where(np.arange(256) < 10, np.inf, 1.2)
+    write_shard(shard_path(data, 7), shard._replace(slowdown=slowdown))
+    held_out = load_examples(data, held_out=True)
+    assert len(held_out.count) == 246
+    np.testing.assert_allclose(held_out.durations, 1.2 * shard.durations[:, 10:], rtol=1e-6)
+
+
+def test_training_learns_and_goes_on_where_it_stopped(tmp_path, data):
+    """The weights after an interrupted run are those of an uninterrupted one, bit for bit."""
+    whole, error = pretrain(tmp_path / "whole", data, SMALL, report=lambda text: None)
+    log = (tmp_path / "whole" / "metrics.jsonl").read_text().splitlines()
+    assert [json.loads(row)["step"] for row in log] == [20, 40]
+    assert error.overall < 0.5 * _error_of(start_training(SMALL), data)
+
+    class Stop(Exception):
+        pass
+
+    def stop(text):
+        raise Stop
+
+    with pytest.raises(Stop):
+        pretrain(tmp_path / "part", data, SMALL, report=stop)
+    resumed, _ = pretrain(tmp_path / "part", data, SMALL, report=lambda text: None)
+    jax.tree.map(np.testing.assert_array_equal, whole.parameters, resumed.parameters)
+    with pytest.raises(FileError, match="another configuration"):
+        pretrain(tmp_path / "part", data, dataclasses.replace(SMALL, seed=1))
+
+
+def _error_of(state, data):
+    from jaxplan.training.pretrain import build_measure
+
+    return build_measure(SMALL)(state.averaged, load_examples(data, held_out=True)).overall
+
+
+def test_wrong_settings_and_missing_data_are_refused(tmp_path):
+    with pytest.raises(InputError, match="batch"):
+        PretrainConfig(batch=0)
+    with pytest.raises(FileError, match=r"dataset\.json"):
+        load_examples(tmp_path, held_out=False)
+
+
+@pytest.mark.slow
+def test_labels_are_at_the_rotors_limit():
+    """Within the limits with the stated reserve, beyond it when flown 4 % faster, and tracked as the slowdown says."""
+    config, vehicle = LabelConfig(), load_vehicle()
+    label, fly = build_labels(vehicle, config), build_flights(config)
+    moving = take(free_queries(np.random.default_rng(1), 8), np.arange(8))
+    speed = np.zeros((4, 3, 8))
+    speed[0] = 3.0
+    queries = join([free_queries(np.random.default_rng(0), 56), moving._replace(derivatives=speed)])
+    durations, feasible = label(queries)
+    assert feasible.mean() > 0.9
+
+    def margin(factor):
+        with jax.enable_x64(True):
+            flights = jax.tree.map(jnp.asarray, fly(queries, factor * durations))
+            return np.asarray(least_rotor_margin(vehicle, flights, config.samples_per_segment))
+
+    at_rest = np.arange(64) < 56
+    assert (margin(1.0)[feasible & at_rest] >= config.reserve - 1e-6).all()
+    assert (margin(0.96)[feasible & at_rest] < config.reserve).mean() > 0.9
+    slowdown = rollout_slowdown(vehicle, queries, durations, feasible, fly)
+    assert np.isnan(slowdown[~feasible]).all()
+    assert (slowdown[feasible] == 1.0).mean() > 0.5
+    assert np.isfinite(slowdown[feasible]).mean() > 0.9
+
+
+@pytest.mark.slow
+def test_slower_sequences_need_longer():
+    config, vehicle = LabelConfig(), load_vehicle()
+    label = build_labels(vehicle, config)
+    points = np.zeros((14, 3, 64))
+    points[1:, 0] = np.linspace(0.5, 20.0, 64)
+    durations, feasible = label(queries_at_rest(points, np.full(64, 2)))
+    assert feasible.all()
+    assert (np.diff(durations.sum(axis=0)) > 0.0).all()
