@@ -19,10 +19,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from jaxplan.errors import InputError
+from jaxplan.spline import FlatState
 from jaxplan.status import Reason, bit
 
-Decode = Callable[[Float[Array, "4 3 k"]], Float[Array, "m k"]]
-"""Durations [s] of every candidate from its initial velocity, acceleration, jerk and snap."""
+Decode = Callable[[FlatState], Float[Array, "m k"]]
+"""Durations [s] of every candidate from its initial state, batch axis last: (5, 3, k) and (3, k)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,13 +71,13 @@ class _Search(NamedTuple):
 
 
 def match_arrival(
-    decode: Decode, initial: Float[Array, "4 3"], arrival_times: Float[Array, "k"], config: ArrivalConfig
+    decode: Decode, initial: FlatState, arrival_times: Float[Array, "k"], config: ArrivalConfig
 ) -> Arrival:
     """Find alpha for every candidate; candidates that need alpha < 1 are done after the first call."""
     log_goal = jnp.log(arrival_times)
 
     def allocate(x: Float[Array, "k"]) -> tuple[Float[Array, "m k"], Float[Array, "k"]]:
-        durations = decode(scale_derivatives(initial, jnp.exp(x)))
+        durations = decode(sped_up(initial, jnp.exp(x)))
         return durations, x + jnp.log(jnp.sum(durations, axis=0)) - log_goal
 
     def unfinished(search: _Search) -> Bool[Array, ""]:
@@ -101,10 +102,12 @@ def match_arrival(
     return Arrival(jnp.where(met, exact, end.durations), alpha, least, reasons, end.calls)
 
 
-def scale_derivatives(initial: Float[Array, "4 3"], alpha: Float[Array, "k"]) -> Float[Array, "4 3 k"]:
-    """alpha D: the k-th derivative times alpha^k (paper eq. 8)."""
-    powers = alpha ** jnp.arange(1, 5, dtype=alpha.dtype)[:, None]
-    return initial[..., None] * powers[:, None]
+def sped_up(initial: FlatState, alpha: Float[Array, "k"]) -> FlatState:
+    """alpha D: the k-th derivative times alpha^k (paper eq. 8), of position and yaw; batch axis last."""
+    powers = alpha ** jnp.arange(5, dtype=alpha.dtype)[:, None]
+    return FlatState(
+        derivatives=initial.derivatives[..., None] * powers[:, None], yaw=initial.yaw[:, None] * powers[:3]
+    )
 
 
 def _active(search: _Search, config: ArrivalConfig) -> Bool[Array, "k"]:

@@ -78,8 +78,7 @@ def compile_stations(config: PlannerConfig, world: World, vehicle: Vehicle, poli
 
     @jax.jit
     def match(context: Any, state: FlatState, arrival_times: Float[Array, "k"]) -> Arrival:
-        initial = state.derivatives[1:]
-        return match_arrival(lambda d: policy.decode(context, d), initial, arrival_times, config.arrival)
+        return match_arrival(lambda d: policy.decode(context, d), state, arrival_times, config.arrival)
 
     @jax.jit
     def stretch(routes: Routes, state: FlatState, factor: Float[Array, "k"]) -> Float[Array, "m k"]:
@@ -104,5 +103,6 @@ def shortened(routes: Routes, longest: int) -> Routes:
     return routes._replace(waypoints=routes.waypoints[:length])
 
 
-def _for_all(state: FlatState, routes: Routes) -> Float[Array, "4 3 k"]:
-    return jnp.broadcast_to(state.derivatives[1:, :, None], (4, 3, routes.waypoints.shape[-1]))
+def _for_all(state: FlatState, routes: Routes) -> FlatState:
+    lanes = routes.waypoints.shape[-1]
+    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[..., None], (*leaf.shape, lanes)), state)

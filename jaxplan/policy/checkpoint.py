@@ -20,6 +20,7 @@ from jaxplan.errors import FileError
 from jaxplan.policy.network import NetworkConfig
 from jaxplan.policy.neural import neural_policy
 from jaxplan.policy.protocol import Policy
+from jaxplan.spline import FlatState
 
 FORMAT = 1
 GOLDEN_TOLERANCE = 1e-3
@@ -90,7 +91,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     if path.stat().st_size > LARGEST:
         raise FileError(f"{path}: has {path.stat().st_size} bytes, want a policy of at most {LARGEST}")
     try:
-        with np.load(path, allow_pickle=False) as data:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
             arrays = {key: data[key] for key in data.files}
         header = json.loads(arrays.pop("header").tobytes())
         version = header["format"]
@@ -108,9 +109,10 @@ def _golden(config: NetworkConfig, parameters: Any) -> Float[np.ndarray, "m 3"]:
     count = np.array([2, 7, 14])
     for lane, last in enumerate(count - 1):
         waypoints[last:, :, lane] = waypoints[last, :, lane]
-    initial = rng.normal(size=(4, 3, 3)) * np.array([0.0, 2.0, 5.0])
+    derivatives, yaw = rng.normal(size=(5, 3, 3)) * np.array([0.0, 2.0, 5.0]), rng.normal(size=(3, 3))
+    initial = FlatState(derivatives=jnp.asarray(derivatives), yaw=jnp.asarray(yaw))
     policy = neural_policy("golden", config, jax.tree.map(jnp.asarray, parameters))
-    durations = policy.decode(policy.encode(jnp.asarray(waypoints), jnp.asarray(count)), jnp.asarray(initial))
+    durations = policy.decode(policy.encode(jnp.asarray(waypoints), jnp.asarray(count)), initial)
     return np.asarray(durations, dtype=float)
 
 

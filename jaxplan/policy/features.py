@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxplan.numerics import safe_divide, safe_norm
+from jaxplan.spline import FlatState
 
 MEAN_SPEED = 4.0
 """Speed [m/s] that turns a path's length into its nominal time (the predecessors' value)."""
@@ -19,7 +20,7 @@ SHORTEST = 0.05
 UNITS = (2.0, 4.0, 12.0, 50.0)
 """m/s, m/s^2, m/s^3, m/s^4 around which velocity to snap go over from linear to logarithmic (arbitrary)."""
 SEGMENT_FEATURES = 10
-STATE_FEATURES = 18
+STATE_FEATURES = 22
 
 
 class Frame(NamedTuple):
@@ -83,9 +84,9 @@ def segment_features(
     return jnp.where(real[:, None], jnp.stack(features, axis=1), 0.0), real
 
 
-def state_features(initial: Float[Array, "4 3 k"], frame: Frame) -> Float[Array, "f k"]:
-    """What the decoder sees of the initial velocity to snap [SI, world]."""
-    own = turned(initial, frame.cos, frame.sin)
+def state_features(initial: FlatState, frame: Frame) -> Float[Array, "f k"]:
+    """What the decoder sees of the initial velocity to snap and of the yaw [SI, world]; batch axis last."""
+    own = turned(initial.derivatives[1:], frame.cos, frame.sin)
     sizes = safe_norm(own, axis=1)
     units = jnp.asarray(UNITS, own.dtype)[:, None]
     compressed = jnp.arcsinh(sizes / units)
@@ -94,4 +95,7 @@ def state_features(initial: Float[Array, "4 3 k"], frame: Frame) -> Float[Array,
     stopping = sizes[0] ** 2 / (10.0 * frame.length)
     scalars = [compressed[0], jnp.arcsinh(along / UNITS[0]), jnp.arcsinh(stopping), jnp.log(frame.length)]
     scalars += [safe_divide(along, sizes[0]), compressed[1]]
+    cos, sin = jnp.cos(initial.yaw[0]), jnp.sin(initial.yaw[0])
+    scalars += [frame.cos * cos + frame.sin * sin, frame.cos * sin - frame.sin * cos]
+    scalars += [jnp.arcsinh(initial.yaw[1]), jnp.arcsinh(0.5 * initial.yaw[2])]
     return jnp.concatenate([vectors.reshape(12, -1), jnp.stack(scalars)])

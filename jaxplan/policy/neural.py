@@ -2,12 +2,14 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxplan.policy.features import Frame, segment_features, sequence_frame, state_features
 from jaxplan.policy.network import Bottleneck, Memory, NetworkConfig, PolicyNetwork
 from jaxplan.policy.protocol import Policy
+from jaxplan.spline import FlatState
 
 LOG_RANGE = 5.0
 """Largest logarithm of a duration in nominal units, so that no input makes a duration infinite."""
@@ -24,9 +26,9 @@ def neural_policy(name: str, config: NetworkConfig, parameters: Any) -> Policy:
         frame, memory, _ = read_sequences(network, parameters, waypoints, count)
         return memory, frame
 
-    def decode(context: tuple[Memory, Frame], initial: Float[Array, "4 3 k"]) -> Float[Array, "m k"]:
+    def decode(context: tuple[Memory, Frame], initial: FlatState) -> Float[Array, "m k"]:
         memory, frame = context
-        return allocate_times(network, parameters, memory, frame, initial).astype(initial.dtype)
+        return allocate_times(network, parameters, memory, frame, initial).astype(initial.derivatives.dtype)
 
     return Policy(name, encode, decode)
 
@@ -44,9 +46,9 @@ def read_sequences(
 
 
 def allocate_times(
-    network: PolicyNetwork, parameters: Any, memory: Memory, frame: Frame, initial: Float[Array, "4 3 k"]
+    network: PolicyNetwork, parameters: Any, memory: Memory, frame: Frame, initial: FlatState
 ) -> Float[Array, "m k"]:
     """Durations [s], 0 behind the last real segment."""
-    state = state_features(initial.astype(jnp.float32), frame)
+    state = state_features(jax.tree.map(lambda leaf: leaf.astype(jnp.float32), initial), frame)
     logs = network.apply(parameters, memory, state, method="decode")
     return jnp.where(memory.real, frame.nominal * jnp.exp(jnp.clip(logs, -LOG_RANGE, LOG_RANGE)), 0.0)

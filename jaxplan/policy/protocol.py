@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 
 from jaxtyping import Array, Float, Int
 
+from jaxplan.spline import FlatState
+
 Context = Any
 """Whatever a policy's encoder hands to its decoder: any pytree."""
 
@@ -18,4 +20,5 @@ class Policy(NamedTuple):
 
     name: str
     encode: Callable[[Float[Array, "n 3 k"], Int[Array, "k"]], Context]
-    decode: Callable[[Context, Float[Array, "4 3 k"]], Float[Array, "m k"]]
+    decode: Callable[[Context, FlatState], Float[Array, "m k"]]
+    """The state is (5, 3, k) and (3, k); its position is that of the first waypoint."""

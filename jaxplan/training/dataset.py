@@ -6,8 +6,10 @@ fastest flights along the former. ``dataset.json`` holds what made it and the ha
 
 import dataclasses
 import hashlib
+import io
 import json
 import os
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -193,10 +195,10 @@ def write_shard(path: Path, shard: Shard) -> None:
 def read_shard(path: Path) -> Shard:
     """A shard of ``make_dataset``."""
     try:
-        with np.load(path, allow_pickle=False) as data:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
             queries = Queries(data["waypoints"], data["count"], data["derivatives"], data["yaw"])
             return Shard(queries, data["durations"], data["feasible"], data["slowdown"])
-    except (OSError, KeyError, ValueError) as error:
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
         raise FileError(f"{path}: cannot be read as a shard of a training set ({error}); make it again") from error
 
 

@@ -11,7 +11,7 @@ from jaxplan.minsnap.batch import SplineBatch
 from jaxplan.numerics import in_float64
 from jaxplan.policy.protocol import Policy
 from jaxplan.tracking.track import track
-from jaxplan.training.labels import LabelConfig, Queries, trajectories
+from jaxplan.training.labels import LabelConfig, Queries, initial_states, trajectories
 from jaxplan.training.sequences import take
 from jaxplan.vehicle.params import Vehicle
 
@@ -51,7 +51,7 @@ def policy_durations(policy: Policy, queries: Queries) -> Float[np.ndarray, "m b
 
 
 def _allocate(policy: Policy) -> Callable[[Queries], jax.Array]:
-    return jax.jit(lambda q: policy.decode(policy.encode(q.waypoints, q.count), q.derivatives))
+    return jax.jit(lambda q: policy.decode(policy.encode(q.waypoints, q.count), initial_states(q)))
 
 
 def compare(

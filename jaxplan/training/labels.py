@@ -58,6 +58,11 @@ class Queries(NamedTuple):
     """Yaw, yaw rate and yaw acceleration at the start [rad, s]."""
 
 
+def initial_states(queries: Queries) -> FlatState:
+    """The states that the sequences begin in, batch axis last."""
+    return FlatState(derivatives=jnp.concatenate([queries.waypoints[:1], queries.derivatives]), yaw=queries.yaw)
+
+
 def queries_at_rest(waypoints: Float[np.ndarray, "n 3 b"], count: Int[np.ndarray, "b"]) -> Queries:
     """Sequences that begin in hover, heading along their first step."""
     lanes = waypoints.shape[-1]
@@ -69,8 +74,7 @@ def queries_at_rest(waypoints: Float[np.ndarray, "n 3 b"], count: Int[np.ndarray
 
 def trajectories(queries: Queries, durations: Float[Array, "m b"], max_yaw_rate: float) -> SplineBatch:
     """The planner's trajectories for these durations, to rest at the goal."""
-    derivatives = jnp.concatenate([queries.waypoints[:1], queries.derivatives])
-    return fit_each(FlatState(derivatives=derivatives, yaw=queries.yaw), queries.waypoints, durations, max_yaw_rate)
+    return fit_each(initial_states(queries), queries.waypoints, durations, max_yaw_rate)
 
 
 def rotor_limit_labels(
@@ -142,9 +146,8 @@ def _first_guess(queries: Queries) -> Float[Array, "m b"]:
 
 
 def _initial_margin(vehicle: Vehicle, queries: Queries) -> Float[Array, "b"]:
-    derivatives = jnp.concatenate([queries.waypoints[:1], queries.derivatives])
-    state = FlatState(derivatives=derivatives, yaw=queries.yaw)
-    return jax.vmap(lambda state: rotor_limit_margin(vehicle, state), in_axes=-1, out_axes=-1)(state)
+    margin = jax.vmap(lambda state: rotor_limit_margin(vehicle, state), in_axes=-1, out_axes=-1)
+    return margin(initial_states(queries))
 
 
 def _smoothest(queries: Queries, total: Float[Array, "b"], feasible: Bool[Array, "b"]) -> Float[Array, "m b"]:

@@ -24,6 +24,7 @@ from jaxplan.policy.features import SEGMENT_FEATURES, STATE_FEATURES
 from jaxplan.policy.network import Bottleneck, NetworkConfig, PolicyNetwork
 from jaxplan.policy.neural import allocate_times, read_sequences
 from jaxplan.search.knots import MAX_WAYPOINTS
+from jaxplan.spline import FlatState
 from jaxplan.training.dataset import is_held_out, read_shard, shard_path
 
 SHORT = 7
@@ -63,7 +64,7 @@ class Examples(NamedTuple):
 
     waypoints: Float[Array, "n 3 b"]
     count: Int[Array, "b"]
-    initial: Float[Array, "4 3 b"]
+    initial: FlatState
     durations: Float[Array, "m b"]
 
 
@@ -99,13 +100,15 @@ def load_examples(folder: Path, *, held_out: bool) -> Examples:
             continue
         shard = read_shard(path)
         good = shard.feasible & (shard.durations.sum(axis=0) > 0.0) & (shard.slowdown != np.inf)
-        slowdown = np.where(np.isnan(shard.slowdown), 1.0, shard.slowdown)
+        slowdown = np.where(np.isfinite(shard.slowdown), shard.slowdown, 1.0)
         waypoints = shard.queries.waypoints - shard.queries.waypoints[:1]
-        example = Examples(waypoints, shard.queries.count, shard.queries.derivatives, shard.durations * slowdown)
-        parts.append(Examples(*(leaf[..., good] for leaf in example)))
+        derivatives = np.concatenate([np.zeros_like(shard.queries.derivatives[:1]), shard.queries.derivatives])
+        state = FlatState(derivatives=derivatives, yaw=shard.queries.yaw)
+        example = Examples(waypoints, shard.queries.count, state, shard.durations * slowdown)
+        parts.append(_lanes(example, good))
     if not parts:
         raise FileError(f"{folder}: has no {'held-out' if held_out else 'training'} shards; make more")
-    return Examples(*(np.concatenate(leaves, axis=-1) for leaves in zip(*parts, strict=True)))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1), *parts)
 
 
 def start_training(config: PretrainConfig) -> State:
@@ -192,12 +195,8 @@ def batches(examples: Examples, config: PretrainConfig, done: int) -> Iterator[t
         which = int(rng.random() < 0.5 and len(groups[1]) > 0) if len(groups[0]) else 1
         lanes = groups[which][np.searchsorted(chances[which], rng.random(config.batch))]
         segments = (SHORT if which == 0 else MAX_WAYPOINTS) - 1
-        batch = Examples(
-            examples.waypoints[: segments + 1, :, lanes],
-            examples.count[lanes],
-            examples.initial[..., lanes],
-            examples.durations[:segments, lanes],
-        )
+        batch = _lanes(examples, lanes)
+        batch = batch._replace(waypoints=batch.waypoints[: segments + 1], durations=batch.durations[:segments])
         yield batch, jax.random.fold_in(jax.random.key(config.seed), step)
 
 
@@ -213,7 +212,7 @@ def build_measure(config: PretrainConfig) -> Callable[[Any, Examples], Error]:
     def measure(parameters: Any, examples: Examples) -> Error:
         size = len(examples.count)
         found = [
-            np.asarray(totals(parameters, Examples(*(leaf[..., lanes] for leaf in examples))))
+            np.asarray(totals(parameters, _lanes(examples, lanes)))
             for lanes in np.array_split(np.resize(np.arange(size), -(-size // 4096) * 4096), -(-size // 4096))
         ]
         relative = np.concatenate(found)[:size] / examples.durations.sum(axis=0) - 1.0
@@ -264,7 +263,12 @@ def _mirrored(batch: Examples, key: PRNGKeyArray) -> Examples:
     """Half of the batch reflected in a vertical plane: a quadrotor flies left as it flies right."""
     side = jnp.where(jax.random.bernoulli(key, 0.5, batch.count.shape), 1.0, -1.0).astype(batch.waypoints.dtype)
     flip = jnp.stack([jnp.ones_like(side), side, jnp.ones_like(side)])
-    return batch._replace(waypoints=batch.waypoints * flip, initial=batch.initial * flip)
+    state = FlatState(derivatives=batch.initial.derivatives * flip, yaw=batch.initial.yaw * side)
+    return batch._replace(waypoints=batch.waypoints * flip, initial=state)
+
+
+def _lanes(examples: Examples, lanes: np.ndarray) -> Examples:
+    return jax.tree.map(lambda leaf: leaf[..., lanes], examples)
 
 
 def _divergence(bottleneck: Bottleneck) -> Float[Array, "k"]:

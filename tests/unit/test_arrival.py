@@ -5,11 +5,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplan.arrival import ArrivalConfig, match_arrival, scale_derivatives
+from jaxplan.arrival import ArrivalConfig, match_arrival, sped_up
 from jaxplan.errors import InputError
+from jaxplan.spline import FlatState
 from jaxplan.status import Reason
 
 CONFIG = ArrivalConfig()
+
+
+def moving_state():
+    """A speed of 1 along x, so that alpha can be read off it."""
+    derivatives = np.zeros((5, 3))
+    derivatives[1, 0] = 1.0
+    return FlatState(derivatives=derivatives, yaw=np.zeros(3))
 
 
 def solve(elasticity, least, arrival_times, config=CONFIG):
@@ -17,11 +25,10 @@ def solve(elasticity, least, arrival_times, config=CONFIG):
     elasticity, least = jnp.asarray(elasticity), jnp.asarray(least)
 
     def decode(initial):
-        alpha = initial[0, 0]
+        alpha = initial.derivatives[1, 0]
         return _split(least * alpha**elasticity)
 
-    initial = np.zeros((4, 3))
-    initial[0, 0] = 1.0
+    initial = moving_state()
     with jax.enable_x64(True):
         return jax.jit(lambda d, t: match_arrival(decode, d, t, config))(
             initial, np.asarray(arrival_times, dtype=float)
@@ -71,20 +78,22 @@ def test_iterations_are_bounded():
     """An allocation that jumps over the goal has no root: flagged after exactly max_calls, never a false success."""
 
     def decode(initial):
-        return jnp.where(initial[0, 0] < 2.0, 0.5, 2.0)[None]
+        return jnp.where(initial.derivatives[1, 0] < 2.0, 0.5, 2.0)[None]
 
-    initial = np.zeros((4, 3))
-    initial[0, 0] = 1.0
+    initial = moving_state()
     with jax.enable_x64(True):
-        result = match_arrival(decode, jnp.asarray(initial), jnp.array([2.0]), ArrivalConfig(max_calls=9))
+        result = match_arrival(decode, initial, jnp.array([2.0]), ArrivalConfig(max_calls=9))
     assert int(result.calls[0]) == 9
     assert int(result.reasons[0]) == Reason.ALPHA_NOT_CONVERGED
 
 
 def test_scaling_follows_the_order_of_the_derivative():
+    state = FlatState(derivatives=np.ones((5, 3)), yaw=np.ones(3))
     with jax.enable_x64(True):
-        scaled = scale_derivatives(np.ones((4, 3)), np.array([1.0, 2.0]))
-    np.testing.assert_allclose(scaled[:, 0, 1], [2.0, 4.0, 8.0, 16.0])
+        scaled = sped_up(state, jnp.array([1.0, 2.0]))
+    np.testing.assert_allclose(scaled.derivatives[:, 0, 1], [1.0, 2.0, 4.0, 8.0, 16.0])
+    np.testing.assert_allclose(scaled.yaw[:, 1], [1.0, 2.0, 4.0])
+    np.testing.assert_allclose(scaled.derivatives[..., 0], 1.0)
 
 
 def test_configuration_is_checked():

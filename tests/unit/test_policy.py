@@ -16,6 +16,7 @@ from jaxplan.policy.checkpoint import load_policy, policy_card, save_policy
 from jaxplan.policy.features import SEGMENT_FEATURES, STATE_FEATURES, segment_features, sequence_frame, state_features
 from jaxplan.policy.network import NetworkConfig, PolicyNetwork
 from jaxplan.policy.neural import neural_policy
+from jaxplan.spline import FlatState
 
 CONFIG = NetworkConfig(hidden=16, attention=8, latent=4)
 
@@ -39,8 +40,8 @@ def sequences(counts, seed=0, scale=2.0):
     points = np.cumsum(rng.normal(size=(14, 3, len(counts))) * scale, axis=0)
     for lane, count in enumerate(counts):
         points[count:, :, lane] = points[count - 1, :, lane]
-    initial = rng.normal(size=(4, 3, len(counts))) * np.array([3.0, 5.0, 10.0, 40.0])[:, None, None]
-    return points, counts, initial
+    derivatives = rng.normal(size=(5, 3, len(counts))) * np.array([0.0, 3.0, 5.0, 10.0, 40.0])[:, None, None]
+    return points, counts, FlatState(derivatives=derivatives, yaw=rng.normal(size=(3, len(counts))))
 
 
 @functools.lru_cache
@@ -67,7 +68,8 @@ def test_padding_and_neighbours_do_not_matter(policy):
     points, counts, initial = sequences([2, 5, 7, 3])
     whole = durations(policy, points, counts, initial)
     np.testing.assert_allclose(durations(policy, points[:7], counts, initial), whole[:6], rtol=1e-5)
-    alone = durations(policy, points[..., 1:2], counts[1:2], initial[..., 1:2])
+    second = jax.tree.map(lambda leaf: leaf[..., 1:2], (points, counts, initial))
+    alone = durations(policy, *second)
     np.testing.assert_allclose(alone[:, 0], whole[:, 1], rtol=1e-5)
 
 
@@ -76,7 +78,8 @@ def test_the_room_and_the_heading_do_not_matter(policy):
     turn = 2.1
     rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]])
     moved = np.einsum("ij,njk->nik", rotation, points) + np.array([30.0, -12.0, 1.0])[:, None]
-    turned = np.einsum("ij,njk->nik", rotation, initial)
+    yaw = initial.yaw + np.array([[turn], [0.0], [0.0]])
+    turned = FlatState(derivatives=np.einsum("ij,njk->nik", rotation, initial.derivatives), yaw=yaw)
     np.testing.assert_allclose(
         durations(policy, moved, counts, turned), durations(policy, points, counts, initial), rtol=2e-4
     )
@@ -85,12 +88,13 @@ def test_the_room_and_the_heading_do_not_matter(policy):
 def test_every_derivative_is_seen_over_its_whole_range(policy):
     """Nothing saturates: doubling any derivative changes the durations, however large it is."""
     points, counts, initial = sequences([6] * 5, scale=1.0)
-    points[:], initial[:] = points[..., :1], 0.1 * initial[..., :1]
-    for order in range(4):
+    points[:] = points[..., :1]
+    derivatives = np.repeat(0.1 * initial.derivatives[..., :1], 5, axis=-1)
+    for order in range(1, 5):
         for size in (1.0, 10.0, 100.0):
-            one, two = initial.copy(), initial.copy()
-            one[order] *= size
-            two[order] *= 2.0 * size
+            scales = np.ones((2, 5, 1, 1))
+            scales[:, order, 0, 0] = size, 2.0 * size
+            one, two = (FlatState(derivatives=derivatives * scale, yaw=initial.yaw) for scale in scales)
             slow, fast = durations(policy, points, counts, one)[:5], durations(policy, points, counts, two)[:5]
             assert np.abs(slow / fast - 1.0).max() > 1e-4
 
@@ -100,15 +104,15 @@ def test_degenerate_sequences_give_finite_durations_and_gradients(policy):
     points[:, :, 0] = points[:1, :, 0]
     points[:, :2, 1] = points[:1, :2, 1]
     points[2] = points[1]
-    initial[..., 2:] = 0.0
+    initial.derivatives[..., 2:] = 0.0
 
     def total(points, initial):
         return jnp.sum(policy.decode(policy.encode(points, counts), initial))
 
     with jax.enable_x64(True):
-        value, slopes = jax.value_and_grad(total, argnums=(0, 1))(jnp.asarray(points), jnp.asarray(initial))
+        value, slopes = jax.value_and_grad(total, argnums=(0, 1))(jnp.asarray(points), initial)
     assert np.isfinite(value)
-    assert all(np.isfinite(slope).all() for slope in slopes)
+    assert all(np.isfinite(slope).all() for slope in jax.tree.leaves(slopes))
 
 
 def test_features_have_their_stated_shapes():
@@ -117,7 +121,7 @@ def test_features_have_their_stated_shapes():
     features, real = segment_features(jnp.asarray(points), jnp.asarray(counts, float), frame)
     assert features.shape == (13, SEGMENT_FEATURES, 2)
     assert real.sum(axis=0).tolist() == [2, 13]
-    assert state_features(jnp.asarray(initial), frame).shape == (STATE_FEATURES, 2)
+    assert state_features(initial, frame).shape == (STATE_FEATURES, 2)
 
 
 def test_checkpoints_come_back_as_they_were(tmp_path, policy):
