@@ -10,7 +10,9 @@ from jaxplan.versions import require_supported_jax
 
 Benchmark = Literal[
     "minsnap",
+    "planner",
     "plant",
+    "policy",
     "prediction",
     "search",
     "time-allocation",

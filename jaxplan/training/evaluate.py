@@ -1,7 +1,10 @@
 """How good a policy is: its times against the optimiser's, and whether the vehicle can follow what it plans."""
 
 import dataclasses
+import json
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -11,9 +14,10 @@ from jaxplan.minsnap.batch import SplineBatch
 from jaxplan.numerics import in_float64
 from jaxplan.policy.protocol import Policy
 from jaxplan.tracking.track import track
+from jaxplan.training.dataset import LANES, build_labels, is_held_out, read_shard, shard_path
 from jaxplan.training.labels import LabelConfig, Queries, initial_states, trajectories
-from jaxplan.training.sequences import take
-from jaxplan.vehicle.params import Vehicle
+from jaxplan.training.sequences import join, take
+from jaxplan.vehicle.params import Vehicle, load_vehicle
 
 ALPHAS = np.geomspace(0.5, 2.0, 7)
 """Factors of the initial state's speed at which the response is looked at."""
@@ -103,3 +107,26 @@ def sample(queries: Queries, labels: np.ndarray, good: Bool[np.ndarray, "b"], co
     rarity = 1.0 / np.bincount(queries.count[lanes])[queries.count[lanes]]
     chosen = rng.choice(lanes, min(count, len(lanes)), replace=False, p=rarity / rarity.sum())
     return take(queries, chosen), labels[..., chosen]
+
+
+def score_policy(policy: Policy, data: Path, flights: int, seed: int = 0) -> dict[str, Any]:
+    """Scores of a policy on ``flights`` held-out sequences of a dataset, for its model card."""
+    record = json.loads((data / "dataset.json").read_text())["config"]
+    config = LabelConfig(**{**record["labels"], "span": tuple(record["labels"]["span"])})
+    vehicle = load_vehicle(record["vehicle"])
+    shards = [read_shard(shard_path(data, index)) for index in range(record["shards"]) if is_held_out(index)]
+    queries, labels = join([shard.queries for shard in shards]), np.concatenate([s.durations for s in shards], axis=-1)
+    slowdown = np.concatenate([shard.slowdown for shard in shards])
+    labels *= np.where(np.isfinite(slowdown), slowdown, 1.0)
+    queries, labels = sample(queries, labels, slowdown < np.inf, flights, seed)
+    found = compare(policy, vehicle, queries, labels, config)
+    moving = np.flatnonzero(np.linalg.norm(queries.derivatives[0], axis=0) > 0.5)[:LANES]
+    correlation = response(policy, take(queries, np.resize(moving, LANES)), build_labels(vehicle, config))
+    return {
+        "sequences": len(found.counts),
+        "relative_time": round(float(found.relative_time.mean()), 4),
+        "policy_tracked": round(float(found.policy_tracked.mean()), 4),
+        "label_tracked": round(float(found.label_tracked.mean()), 4),
+        "median_response_correlation": round(float(np.nanmedian(correlation)), 4),
+        "by_length": found.by_length(),
+    }

@@ -1,0 +1,141 @@
+"""Table II of the paper: a replan stage by stage, over the cycles of closed-loop pursuits.
+
+    jaxplan bench planner [--json FILE]
+
+In each environment an interception is flown with the noisy predictor (20 steps x 20 samples), and the state and the
+candidates of every cycle are kept. Each cycle is then planned again with K of its candidates (more than 400 are drawn
+again, moved by centimetres), warm, stage by stage. The last rows are the same 400 sequences given to our own batched
+optimiser: without limits (a) and within the rotors' limits (c), from rest and without arrival matching.
+"""
+
+import argparse
+import functools
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from jaxplan import interception
+from jaxplan.config import InterceptConfig
+from jaxplan.minsnap.allocation import time_allocation
+from jaxplan.numerics import in_float64
+from jaxplan.planner import APPROACH_LANES, PlannerConfig, Timer, build_planner
+from jaxplan.policy.checkpoint import load_policy
+from jaxplan.policy.constant_speed import constant_speed_policy
+from jaxplan.prediction.candidates import candidates_from
+from jaxplan.search.knots import KnotConfig, select_route
+from jaxplan.search.lattice import SearchConfig, build_lattices
+from jaxplan.search.routes import find_routes
+from jaxplan.vehicle.limits import rotor_limit_margin
+
+from . import _harness
+
+COUNTS = (16, 100, 400, 2048)
+PAPER = {"search + knots": 9.5, "policy": 71.2, "total": 99.4}
+"""Milliseconds on the paper's GPU (Table II; the total includes 18.7 ms of prediction)."""
+
+
+def recorded_cycles(world, policy, departures):
+    """(state, candidates) of every cycle of some episodes, and the scenario they were flown in."""
+    scenario, kept = None, []
+    for seed, departure in enumerate(departures):
+        config = InterceptConfig(
+            world=world, predictor="noisy", planner=policy, speed=3.0, departure=departure, seed=seed
+        )
+        scenario = interception.prepare(config)
+        plan_batch = scenario.replanner.planner.plan_batch
+
+        def recording(state, candidates, timer=None, plan_batch=plan_batch):
+            kept.append((state, jax.tree.map(np.asarray, candidates)))
+            return plan_batch(state, candidates, timer)
+
+        scenario.replanner.planner = scenario.replanner.planner._replace(plan_batch=recording)
+        interception.fly(scenario, lambda text, share: None)
+    return scenario, kept
+
+
+def some_candidates(candidates, count, rng):
+    """``count`` of the candidates; those drawn again are moved a little."""
+    lanes = np.resize(rng.permutation(len(candidates.goals)), count)
+    moved = rng.normal(scale=0.03, size=(count, 3)) * (np.arange(count) >= len(candidates.goals))[:, None]
+    return candidates_from(
+        candidates.target,
+        candidates.goals[lanes] + moved,
+        candidates.arrival_times[lanes],
+        np.log(np.maximum(candidates.likelihood[lanes], 1e-12)),
+    )
+
+
+def chosen_policy(name):
+    return constant_speed_policy() if name == "no-policy" else load_policy(name)
+
+
+def measure(world, policy, counts, departures, cycles, seed=0):
+    """Rows of one environment."""
+    scenario, kept = recorded_cycles(world, policy, departures)
+    rng = np.random.default_rng(seed)
+    kept = [kept[place] for place in rng.permutation(len(kept))[:cycles]]
+    rows = []
+    for count in counts:
+        buckets = tuple(sorted({APPROACH_LANES, 100, max(count, APPROACH_LANES)}))
+        planner = build_planner(
+            PlannerConfig(buckets=buckets), world=scenario.world, vehicle=scenario.vehicle, policy=chosen_policy(policy)
+        )
+        began = time.perf_counter()
+        planner.warmup(scenario.start)
+        warmup = time.perf_counter() - began
+        stages = []
+        for state, candidates in kept:
+            some, timer = some_candidates(candidates, count, rng), Timer()
+            began = time.perf_counter()
+            planner.plan_batch(state, some, timer)
+            total = 1e3 * (time.perf_counter() - began)
+            joined = {"search + knots": timer.stages["search"] + timer.stages["knots"], "total": total}
+            stages.append({**timer.stages, **joined})
+        for stage in ("reject", "search + knots", "policy", "minsnap", "select", "total"):
+            p50, p99 = np.quantile([row.get(stage, 0.0) for row in stages], [0.5, 0.99])
+            row = {"world": world, "policy": policy, "candidates": count, "stage": stage, "p50_ms": float(p50)}
+            row |= {"p99_ms": float(p99), "cycles": len(stages), "warmup_s": warmup}
+            rows.append(row | ({"paper_ms": PAPER[stage]} if stage in PAPER and count == 400 else {}))
+    return rows + baseline(scenario, kept)
+
+
+@in_float64
+def baseline(scenario, kept):
+    """Our own optimiser on the sequences of one cycle."""
+    lattices = build_lattices(scenario.world, SearchConfig(padding=0.5))
+    select = jax.jit(jax.vmap(lambda path: select_route(path, KnotConfig()).knots))
+    margin = functools.partial(rotor_limit_margin, scenario.vehicle)
+    state, candidates = kept[0]
+    distance = float(np.linalg.norm(candidates.target - state.pos))
+    paths = find_routes(lattices, scenario.world, np.asarray(state.pos), candidates.goals, distance)
+    good = np.flatnonzero(paths.reasons == 0)
+    knots = select(paths.points[np.resize(good, len(candidates.goals))])
+    waypoints, segments = np.moveaxis(np.asarray(knots.waypoints), 0, -1), np.asarray(knots.count) - 1
+    rows = []
+    for name, options in (("optimiser (a)", {"time_weight": 100.0}), ("optimiser (c)", {"margin": margin})):
+        found = _harness.timed(functools.partial(time_allocation, segments=segments, **options), waypoints, repeats=3)
+        rows.append({"world": scenario.world.name, "policy": name, "candidates": len(segments), **found})
+    return rows
+
+
+def main(arguments=None):
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path, help="save the rows, with hardware, versions and commit")
+    parser.add_argument("--worlds", nargs="+", default=["env1", "env2", "env3"])
+    parser.add_argument("--policy", default="pretrained")
+    parser.add_argument("--counts", nargs="+", type=int, default=list(COUNTS))
+    parser.add_argument("--departures", nargs="+", type=float, default=[0.5, 1.5, 2.5])
+    parser.add_argument("--cycles", type=int, default=100)
+    chosen = parser.parse_args(arguments)
+    rows = []
+    for world in chosen.worlds:
+        rows += measure(world, chosen.policy, chosen.counts, chosen.departures, chosen.cycles)
+    _harness.show(rows)
+    if chosen.json:
+        _harness.write(chosen.json, rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+"""The policy's parts: encoder, one decoder pass, and the arrival matching.
+
+    jaxplan bench policy [--json FILE]
+
+Random sequences of 2 to 14 waypoints from random states in flight; arrival times 1 to 3 times the least.
+"""
+
+import argparse
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxplan.arrival import ArrivalConfig, match_arrival
+from jaxplan.policy.checkpoint import load_policy
+from jaxplan.spline import FlatState
+
+from . import _harness
+
+
+def sequences(lanes, waypoints, rng):
+    """Random paths with steps of metres, the goal repeated behind the last waypoint."""
+    count = rng.integers(2, waypoints + 1, lanes)
+    points = np.cumsum(rng.normal(size=(waypoints, 3, lanes)) * [[2.0], [2.0], [0.3]], axis=0)
+    for lane, used in enumerate(count):
+        points[used:, :, lane] = points[used - 1, :, lane]
+    return points - points[:1], count
+
+
+def measure(policy, lanes, waypoints, repeats):
+    rng = np.random.default_rng(0)
+    points, count = sequences(lanes, waypoints, rng)
+    derivatives = rng.normal(size=(5, 3)) * np.array([[0.0], [2.0], [3.0], [5.0], [10.0]])
+    state = FlatState(derivatives=derivatives, yaw=np.zeros(3))
+    states = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[..., None], (*leaf.shape, lanes)), state)
+    encode, decode = jax.jit(policy.encode), jax.jit(policy.decode)
+    context = encode(points, count)
+    least = np.asarray(decode(context, states)).sum(axis=0)
+    times = least * rng.uniform(1.0, 3.0, lanes)
+
+    @jax.jit
+    def match(context, times):
+        return match_arrival(lambda s: policy.decode(context, s), state, times, ArrivalConfig())
+
+    calls = np.asarray(match(context, times).calls)
+    shape = {"candidates": lanes, "waypoints": waypoints}
+    yield {"part": "encode", **shape, **_harness.timed(encode, points, count, repeats=repeats)}
+    yield {"part": "decode", **shape, **_harness.timed(decode, context, states, repeats=repeats)}
+    matched = _harness.timed(match, context, times, repeats=repeats)
+    passes = {"median_passes": float(np.median(calls)), "most_passes": int(calls.max())}
+    yield {"part": "match arrival", **shape, **matched, **passes}
+
+
+def main(arguments=None):
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path, help="save the rows, with hardware, versions and commit")
+    parser.add_argument("--policy", default="pretrained")
+    parser.add_argument("--repeats", type=int, default=50)
+    chosen = parser.parse_args(arguments)
+    rows = []
+    with jax.enable_x64(True):
+        policy = load_policy(chosen.policy)
+        for lanes in (36, 400, 2048):
+            for waypoints in (7, 14):
+                rows += measure(policy, lanes, waypoints, chosen.repeats)
+    _harness.show(rows)
+    if chosen.json:
+        _harness.write(chosen.json, rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,102 @@
+"""``jaxplan train dataset|pretrain``: how the shipped policies are made."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+from jaxplan.versions import require_supported_jax
+
+
+def dataset(*, out: Path, shards: int = 48, seed: int = 1, vehicle: str = "mfrl", debug: bool = False) -> int:
+    """Make a training set of labelled waypoint sequences; a run that was cut off goes on.
+
+    Parameters
+    ----------
+    out
+        Folder of the shards.
+    shards
+        How many, of 2,560 sequences each.
+    seed
+        Seed of the rooms and sequences.
+    vehicle
+        A preset's name or a TOML file.
+    debug
+        Show the traceback of an error.
+    """
+    require_supported_jax()
+    from jaxplan.training.dataset import DatasetConfig, add_rollouts, make_dataset
+
+    make_dataset(out, DatasetConfig(shards=shards, seed=seed, vehicle=vehicle))
+    add_rollouts(out)
+    return 0
+
+
+def pretrain(
+    *,
+    data: Path,
+    run: Path,
+    out: Path,
+    hidden: int = 64,
+    attention: int = 32,
+    latent: int = 32,
+    steps: int = 30_000,
+    batch: int = 512,
+    flights: int = 2_000,
+    seed: int = 0,
+    debug: bool = False,
+) -> int:
+    """Train a policy to imitate the optimiser; a run that was cut off goes on.
+
+    Parameters
+    ----------
+    data
+        Folder of a training set (jaxplan train dataset).
+    run
+        Folder of the run: its state, metrics.jsonl and the best weights so far.
+    out
+        File of the policy (.npz), with its scores.
+    hidden
+        Width of the network's GRUs.
+    attention
+        Width of its keys, queries and values.
+    latent
+        Width of its bottleneck.
+    steps
+        Gradient steps at most.
+    batch
+        Sequences of each step.
+    flights
+        Held-out sequences that are flown for the scores.
+    seed
+        Seed of the weights and batches.
+    debug
+        Show the traceback of an error.
+    """
+    require_supported_jax()
+    from jaxplan.errors import InputError
+    from jaxplan.policy.checkpoint import load_policy, save_policy
+    from jaxplan.policy.network import NetworkConfig
+    from jaxplan.training.dataset import digest
+    from jaxplan.training.evaluate import score_policy
+    from jaxplan.training.pretrain import PretrainConfig
+    from jaxplan.training.pretrain import pretrain as train
+
+    if out.suffix != ".npz" or not out.parent.is_dir():
+        raise InputError(f"train pretrain: have --out {out}, want a .npz file in a folder that exists; correct it")
+    network = NetworkConfig(hidden=hidden, attention=attention, latent=latent)
+    config = PretrainConfig(network=network, steps=steps, batch=batch, seed=seed)
+    state, error = train(run, data, config)
+    options = {"hidden": hidden, "attention": attention, "latent": latent, "steps": steps, "batch": batch, "seed": seed}
+    card = {
+        "command": "jaxplan train pretrain " + " ".join(f"--{key} {value}" for key, value in options.items()),
+        "config": dataclasses.asdict(config),
+        "data": {"sha256": digest(data / "dataset.json"), **json.loads((data / "dataset.json").read_text())["config"]},
+        "steps_taken": int(state.step),
+        "held_out_error_of_total_time": error.overall,
+    }
+    save_policy(out, network, state.averaged, card)
+    if flights:
+        card["scores"] = score_policy(load_policy(out), data, flights)
+        save_policy(out, network, state.averaged, card)
+    print(f"{out}: held-out error of the total time {error.overall:.1%}, {out.stat().st_size / 1e6:.2f} MB")
+    return 0
