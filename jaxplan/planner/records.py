@@ -35,7 +35,7 @@ class PlannerConfig:
     max_speed: float = 8.0
     """Goals that need more than this average speed [m/s] are dropped at once (arbitrary, above what is ever flown)."""
     max_yaw_rate: float = 1.5
-    """Average yaw rate [rad/s] that a segment may ask for (docs/decisions/0009-yaw-rate.md)."""
+    """Average yaw rate [rad/s] that a segment may ask for (docs/decisions/0010-yaw-rate.md)."""
     likelihood_weight: float = 1.0
     """Seconds that a likelihood of 1 is worth in the selection (paper eq. 9 leaves the unit open)."""
     path_capacity: int = 32
