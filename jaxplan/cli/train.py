@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
+from jaxplan.cli.train_policy import dataset, pretrain
 from jaxplan.versions import require_supported_jax
 
 if TYPE_CHECKING:
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from jaxplan.world.obstacles import World
 
 train = App(name="train", help="Learn from simulated data what planning needs.")
+for command in (dataset, pretrain):
+    train.command(command)
 
 _HELD_OUT = 0.2
 """Held-out windows, as a share of those that are fitted."""
