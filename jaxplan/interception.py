@@ -128,7 +128,7 @@ def prepare(config: InterceptConfig) -> Scenario:
     vehicle = load_vehicle()
     target = load_target(config.target, world=world.name, speed=config.speed)
     distance = _distance_function(world)
-    prediction = PredictionConfig(dt=0.1 if world.diagonal < LARGE_ROOM else 0.2)
+    prediction = prediction_config(world)
     count = candidate_count(config.predictor, prediction)
     planner_config = PlannerConfig(
         buckets=tuple(sorted({APPROACH_LANES, *(n for n in (count // 4, count) if n > APPROACH_LANES)}))
@@ -138,7 +138,7 @@ def prepare(config: InterceptConfig) -> Scenario:
     _check_start(position, world, vehicle, distance)
     start = hover(position)
     planner = build_planner(planner_config, world=world, vehicle=vehicle, policy=_policy(config.planner))
-    predictor = _predictor(config, prediction, target, world)
+    predictor = predictor_for(config, world, target)
     return Scenario(
         world=world,
         target=target,
@@ -153,9 +153,14 @@ def prepare(config: InterceptConfig) -> Scenario:
     )
 
 
-def _predictor(config: InterceptConfig, prediction: PredictionConfig, target: Target, world: World) -> StepPredictor:
+def prediction_config(world: World) -> PredictionConfig:
+    """How far and how densely targets are predicted in a room of this size (paper, Sec. IV)."""
+    return PredictionConfig(dt=0.1 if world.diagonal < LARGE_ROOM else 0.2)
+
+
+def predictor_for(config: InterceptConfig, world: World, target: Target) -> StepPredictor:
     """The predictor that was asked for, with the mixture that belongs to the world if it needs one."""
-    model = None
+    prediction, model = prediction_config(world), None
     if config.predictor == "gmm":
         own = config.target_model
         model = shipped_model(config.world, prediction.dt) if own is None else load_model(own)
