@@ -16,6 +16,7 @@ _HOMES = {
     "jaxplan.minsnap.batched": ("minimum_snap_batch",),
     "jaxplan.minsnap.problem": ("minimum_snap",),
     "jaxplan.planner": ("Planner", "PlannerConfig", "Plans", "build_planner", "select"),
+    "jaxplan.policy.checkpoint": ("load_policy",),
     "jaxplan.policy.constant_speed": ("constant_speed_policy",),
     "jaxplan.prediction.candidates": ("Candidates", "candidates_from"),
     "jaxplan.prediction.predictors": ("PredictionConfig", "build_predictor"),

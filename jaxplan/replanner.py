@@ -12,7 +12,7 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxplan.errors import InputError
 from jaxplan.planner import Planner, Plans, Timer, select
@@ -160,8 +160,7 @@ class Replanner:
         remaining = plan.arrival_time - takeover
         if plan.status is not PlanStatus.INTERCEPT or remaining <= 0.0:
             return -np.inf
-        apart = np.linalg.norm(np.asarray(candidates.goals) - plan.goal, axis=-1)
-        simultaneous = np.abs(np.asarray(candidates.arrival_times) - remaining) < 0.5 * self.config.period + 1e-6
+        apart, simultaneous = _expected_then(candidates, remaining, plan.goal, 0.5 * self.config.period)
         same = simultaneous & (apart <= self.config.keep_radius)
         if not same.any():
             return -np.inf
@@ -184,6 +183,27 @@ class Replanner:
         jump = np.abs(spline.state(0.0).derivatives - state.derivatives).max(axis=-1)
         jump[4] /= max(float(np.abs(state.snap).max()), 1.0)
         return jump
+
+
+def _expected_then(
+    candidates: Candidates, time: float, goal: Float[np.ndarray, "3"], tolerance: float
+) -> tuple[Float[np.ndarray, "k"], Bool[np.ndarray, "k"]]:
+    """How far [m] the target would be from ``goal`` at ``time`` if each candidate were true, and which are of then.
+
+    Predictions may be farther apart than replans. A candidate of a neighbouring step is moved along the mean of the
+    predicted positions, step by step.
+    """
+    times, goals = np.asarray(candidates.arrival_times), np.asarray(candidates.goals)
+    finite = np.isfinite(times) & np.isfinite(goals).all(axis=-1)
+    steps, member = np.unique(np.round(times[finite], 6), return_inverse=True)
+    if len(steps) == 0:
+        return np.full(len(times), np.inf), np.zeros(len(times), bool)
+    size = np.bincount(member)
+    means = np.stack([np.bincount(member, weights=goals[finite, axis]) / size for axis in range(3)], axis=1)
+    spacing = np.diff(steps).min() if len(steps) > 1 else 0.0
+    simultaneous = finite & (np.abs(times - time) <= max(tolerance, 0.5 * spacing) + 1e-6)
+    moved = [np.interp(time, steps, means[:, axis]) - np.interp(times, steps, means[:, axis]) for axis in range(3)]
+    return np.linalg.norm(goals + np.stack(moved, axis=1) - goal, axis=-1), simultaneous
 
 
 def _hold(state: FlatState) -> CommittedPlan:

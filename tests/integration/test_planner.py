@@ -202,6 +202,24 @@ def test_committed_interception_survives_cycles_without_a_candidate(planner):
     np.testing.assert_allclose(replanner.reference(np.array([50.0])).pos[0], goal, atol=1e-6)
 
 
+@pytest.mark.parametrize("samples", [1, 20])
+@pytest.mark.parametrize("offset", [0.0, 0.1])
+def test_a_committed_interception_is_recognised_between_two_predicted_steps(planner, samples, offset):
+    """In large rooms predictions are 0.2 s apart and replans 0.1 s: every second cycle falls between two steps."""
+    replanner = Replanner(planner, Script(), hover(START))
+    position, velocity = np.array([0.0, 1.0, 1.0]), np.array([5.0, -1.0, 0.2])
+    held = replanner.committed
+    replanner.plans.append(held._replace(goal=position, arrival_time=2.0 + offset, status=PlanStatus.INTERCEPT))
+    steps = np.repeat(0.2 * np.arange(1, 21), samples)
+    noise = 0.05 * np.random.default_rng(0).normal(size=(len(steps), 3)) * (samples > 1)
+    goals = position + (steps - 2.0 - offset)[:, None] * velocity + noise
+    expected = candidates_from(position, goals, steps, np.zeros(len(steps)))
+    score = replanner._incumbent_score(expected, 0.0)
+    assert score == pytest.approx(1.0 - 2.0 - offset)
+    elsewhere = candidates_from(position, goals + np.array([0.0, 0.4, 0.0]), steps, np.zeros(len(steps)))
+    assert replanner._incumbent_score(elsewhere, 0.0) == -np.inf
+
+
 def test_unreachable_target_is_approached(planner):
     far = np.array([4.0, 4.0, 1.0])
     replanner, cycles = run(planner, Script(near(far, 0.5)), 3)
