@@ -2,9 +2,12 @@
 
 Tal & Karaman 2021 eq. (33): [moment; thrust] = G1 w_c^2 + G2 (w_c - w) / tau, where G2 is the reaction to the
 rotors' acceleration and acts on yaw alone. With z the part of the yaw moment that G1 must make, every speed is known:
-w_c,i = sqrt(base_i + s_i h z), and z solves one increasing scalar equation. Where limits bind, yaw gives way first,
-then thrust (eq. 34-35), and last each rotor is clipped by itself, at the cost of roll and pitch.
+w_c,i = sqrt(base_i + y_i z) with y the yaw column of G1^-1, and z solves one increasing scalar equation. Where limits
+bind, yaw gives way first, then thrust (eq. 34-35), and last each rotor is clipped by itself, at the cost of roll and
+pitch.
 """
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +19,21 @@ from jaxplan.vehicle.params import Vehicle
 _NEWTON_STEPS = 8
 """The yaw moment is then met to 2e-4 N m at worst, over 2000 random pairs of present and wanted speeds; with all rotors
 wanted above 200 rad/s to 1e-6 N m."""
+_NO_PART = 0.01
+"""Of the largest yaw gain: a rotor with less does not bound the yaw moment (arbitrary)."""
+_STEEP = 0.1
+"""Of the steepest conceivable: a pair of rotors that depends less on thrust does not bound it, since giving thrust up
+would buy next to nothing (arbitrary)."""
+
+
+class _Mixer(NamedTuple):
+    """Squared rotor speeds as straight lines of thrust and yaw moment: tilt + lift * thrust + yaw * z."""
+
+    tilt: Float[Array, "4"]
+    lift: Float[Array, "4"]
+    yaw: Float[Array, "4"]
+    lowest: Float[Array, ""]
+    highest: Float[Array, ""]
 
 
 def rotor_commands(
@@ -28,20 +46,21 @@ def rotor_commands(
     inverse = inverse_allocation_matrix(vehicle)
     lowest, highest = vehicle.rotor_speed_min**2, vehicle.rotor_speed_max**2
     tilt = inverse[:, 0] * moment[0] + inverse[:, 1] * moment[1]
-    spin, yaw_gain = vehicle.rotor_spin, jnp.abs(inverse[0, 2])
-    wanted = inverse[0, 3] * thrust
-    lift = _nearest_lift(tilt, spin, wanted, lowest, highest)
-    base = tilt + lift
-    room_up = jnp.where(spin > 0.0, highest - base, base - lowest)
-    room_down = jnp.where(spin > 0.0, lowest - base, base - highest)
-    low, high = jnp.max(room_down) / yaw_gain, jnp.min(room_up) / yaw_gain
+    spin, yaw = vehicle.rotor_spin, inverse[:, 2]
+    mixer = _Mixer(tilt=tilt, lift=inverse[:, 3], yaw=yaw, lowest=lowest, highest=highest)
+    given = _nearest_thrust(mixer, thrust)
+    base = tilt + mixer.lift * given
+    low, high = _yaw_room(mixer, base)
 
-    reaction = vehicle.rotor_inertia / vehicle.motor_time_constant
+    # Where yaw speeds a rotor up whose torque opposes it, the reaction comes with the wrong sign and the equation need
+    # not be increasing: such layouts answer with the torques alone.
+    alike = jnp.all(spin * yaw >= -_NO_PART * jnp.max(jnp.abs(yaw)))
+    reaction = jnp.where(alike, vehicle.rotor_inertia / vehicle.motor_time_constant, 0.0)
     present = vehicle.torque_coefficient * jnp.sum(spin * rotor_speeds**2)
 
     def excess(z: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        speeds = jnp.sqrt(jnp.maximum(base + spin * yaw_gain * z, 0.0))
-        slope = 1.0 + reaction * jnp.sum(0.5 * yaw_gain / jnp.maximum(speeds, 1.0))
+        speeds = jnp.sqrt(jnp.maximum(base + yaw * z, 0.0))
+        slope = 1.0 + reaction * jnp.sum(0.5 * spin * yaw / jnp.maximum(speeds, 1.0))
         return z + reaction * jnp.sum(spin * (speeds - rotor_speeds)) - moment[2], slope
 
     def newton(_: int, z: Float[Array, ""]) -> Float[Array, ""]:
@@ -49,35 +68,63 @@ def rotor_commands(
         return jnp.clip(z - value / slope, low, high)
 
     z = jax.lax.fori_loop(0, _NEWTON_STEPS, newton, jnp.clip(present, low, high))
-    squares = base + spin * yaw_gain * z
+    squares = base + yaw * z
     unclipped = (lowest <= squares) & (squares <= highest)
     yaw_kept = (excess(low)[0] <= 0.0) & (excess(high)[0] >= 0.0)
-    saturated = ~(yaw_kept & (lift == wanted) & jnp.all(unclipped | _nearly(squares, lowest, highest)))
+    saturated = ~(yaw_kept & (given == thrust) & jnp.all(unclipped | _nearly(squares, lowest, highest)))
     return jnp.sqrt(jnp.clip(squares, lowest, highest)), saturated
 
 
-def _nearest_lift(
-    tilt: Float[Array, "4"],
-    spin: Float[Array, "4"],
-    wanted: Float[Array, ""],
-    lowest: Float[Array, ""],
-    highest: Float[Array, ""],
-) -> Float[Array, ""]:
-    """The lift (squared speed that all rotors share) nearest to ``wanted`` that some yaw moment makes feasible.
+def _yaw_room(mixer: _Mixer, base: Float[Array, "4"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """The yaw moments z [N m] that keep all rotors within limits at ``base`` + yaw z; low > high if none does."""
+    size = jnp.abs(mixer.yaw)
+    part = size > _NO_PART * jnp.max(size)
+    divisor = jnp.where(part, mixer.yaw, 1.0)
+    ends = (mixer.lowest - base) / divisor, (mixer.highest - base) / divisor
+    low = jnp.max(jnp.where(part, jnp.minimum(*ends), -jnp.inf))
+    return low, jnp.min(jnp.where(part, jnp.maximum(*ends), jnp.inf))
 
-    Rotors of spin +1 run at lift + yaw + tilt_i, those of spin -1 at lift - yaw + tilt_i: each pair bounds its own sum,
-    and the lift is the mean of the two. Where a pair has no room at all, the middle of its bounds is taken.
+
+def _nearest_thrust(mixer: _Mixer, wanted: Float[Array, ""]) -> Float[Array, ""]:
+    """The thrust [N] nearest to ``wanted`` that some yaw moment makes feasible.
+
+    Two rotors with the yaw moment eliminated (Fourier-Motzkin) bound the thrust from both sides: with y_i, y_j of
+    opposite sign, |y_j| square_i + |y_i| square_j does not depend on yaw. Such pairs have the last word; pairs of equal
+    sign bound the thrust only in layouts without symmetry. The middle is taken where the bounds contradict each other:
+    then roll and pitch alone ask too much.
     """
-
-    def bounds(pair: Bool[Array, "4"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        low = lowest - jnp.min(jnp.where(pair, tilt, jnp.inf))
-        high = highest - jnp.max(jnp.where(pair, tilt, -jnp.inf))
+    for opposite in (False, True):
+        low, high = _bounds(mixer, opposite)
         middle = 0.5 * (low + high)
-        return jnp.where(low > high, middle, low), jnp.where(low > high, middle, high)
+        contradict = low > high
+        wanted = jnp.clip(wanted, jnp.where(contradict, middle, low), jnp.where(contradict, middle, high))
+    return wanted
 
-    low_ahead, high_ahead = bounds(spin > 0.0)
-    low_back, high_back = bounds(spin < 0.0)
-    return jnp.clip(wanted, 0.5 * (low_ahead + low_back), 0.5 * (high_ahead + high_back))
+
+def _bounds(mixer: _Mixer, opposite: bool) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """The thrusts that all pairs allow whose rotors yaw in opposite (or else in equal) directions."""
+    yaw, lift, tilt = (_pairs(values) for values in (mixer.yaw, mixer.lift, mixer.tilt))
+    one, other = yaw[1], -yaw[0]  # weights that cancel yaw
+    slope = one * lift[0] + other * lift[1]
+    offset = one * tilt[0] + other * tilt[1]
+    least = jnp.where(one > 0.0, one * mixer.lowest, one * mixer.highest)
+    least += jnp.where(other > 0.0, other * mixer.lowest, other * mixer.highest)
+    most = one * (mixer.lowest + mixer.highest) + other * (mixer.lowest + mixer.highest) - least
+    steep = jnp.abs(slope) > _STEEP * jnp.max(jnp.abs(mixer.yaw)) * jnp.max(mixer.lift)
+    counts = steep & ((one * other > 0.0) == opposite)
+    divisor = jnp.where(counts, slope, 1.0)
+    ends = (least - offset) / divisor, (most - offset) / divisor
+    all_alike = 4.0 / jnp.sum(
+        mixer.lift
+    )  # N per (rad/s)^2 of all rotors; bounds everything, so that no bound is infinite
+    low = jnp.max(jnp.where(counts, jnp.minimum(*ends), mixer.lowest * all_alike))
+    return low, jnp.min(jnp.where(counts, jnp.maximum(*ends), mixer.highest * all_alike))
+
+
+def _pairs(values: Float[Array, "4"]) -> tuple[Float[Array, "8"], Float[Array, "8"]]:
+    """Each rotor beside the next and the one after that: every pair, those across twice."""
+    following = [jnp.roll(values, -1), jnp.roll(values, -2)]
+    return jnp.concatenate([values, values]), jnp.concatenate(following)
 
 
 def _nearly(squares: Float[Array, "4"], lowest: Float[Array, ""], highest: Float[Array, ""]) -> Bool[Array, "4"]:

@@ -2,27 +2,48 @@
 
     [moment_x, moment_y, moment_z, thrust] = G1 speed^2        (Tal & Karaman 2021, G1 of eq. 6, here in FLU with z up)
 
-``Vehicle`` admits only layouts in which the rows of G1 are orthogonal, so G1^-1 = G1^T diag(1 / |row|^2).
+``Vehicle`` admits every layout whose G1 has rank 4. The inverse is the adjugate over the determinant: plain arithmetic,
+where a linear solve would call LAPACK lane by lane.
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplan.vehicle.params import Vehicle
 
+_SIGNS = np.array([[1.0, -1.0, 1.0, -1.0], [-1.0, 1.0, -1.0, 1.0], [1.0, -1.0, 1.0, -1.0], [-1.0, 1.0, -1.0, 1.0]])
+"""Of the cofactors."""
+
 
 def allocation_matrix(vehicle: Vehicle) -> Float[Array, "4 4"]:
     """G1 [N m, N m, N m, N per (rad/s)^2]; column i belongs to rotor i. ``vehicle`` is cast already."""
-    x, y = vehicle.rotor_positions[:, 0], vehicle.rotor_positions[:, 1]
-    lift = vehicle.thrust_coefficient
-    return jnp.stack([lift * y, -lift * x, vehicle.torque_coefficient * vehicle.rotor_spin, lift * jnp.ones_like(x)])
+    return _units(vehicle)[:, None] * _layout(vehicle)
 
 
 def inverse_allocation_matrix(vehicle: Vehicle) -> Float[Array, "4 4"]:
     """G1^-1; row i belongs to rotor i. ``vehicle`` is cast already."""
-    matrix = allocation_matrix(vehicle)
-    squares = jnp.sum(matrix * matrix, axis=1, keepdims=True)
-    return (matrix / jnp.broadcast_to(squares, matrix.shape)).T
+    rows = _layout(vehicle)
+    # the minors of an entry, cyclically: an even permutation of the three rows and columns that are left
+    a, b, c = ([jnp.roll(rows, (-down, -along), (0, 1)) for along in (1, 2, 3)] for down in (1, 2, 3))
+    minors = (
+        a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0])
+    )
+    cofactors = minors * _SIGNS.astype(minors.dtype)
+    determinant = jnp.sum(rows[0] * cofactors[0])
+    return cofactors.T / (determinant * _units(vehicle))
+
+
+def _layout(vehicle: Vehicle) -> Float[Array, "4 4"]:
+    """G1 without its coefficients: y, -x [m], spin, 1."""
+    x, y = vehicle.rotor_positions[:, 0], vehicle.rotor_positions[:, 1]
+    return jnp.stack([y, -x, vehicle.rotor_spin, jnp.ones_like(x)])
+
+
+def _units(vehicle: Vehicle) -> Float[Array, "4"]:
+    """The coefficient of each row of G1."""
+    lift = vehicle.thrust_coefficient
+    return jnp.stack([lift, lift, vehicle.torque_coefficient, lift])
 
 
 def squared_rotor_speeds(vehicle: Vehicle, moment: Float[Array, "3"], thrust: Float[Array, ""]) -> Float[Array, "4"]:

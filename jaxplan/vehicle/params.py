@@ -43,12 +43,19 @@ _POSITIVE = (
 )
 
 
+_LEAST_AUTHORITY = 1e-4
+"""Least singular value of the mixer with rows of unit length; below, float32 would not tell the axes apart (arbitrary;
+an X layout has 1)."""
+_LEAST_HOVER = 0.01
+"""Of the fastest rotor's speed at hover: less is a rotor that carries nothing (arbitrary)."""
+
+
 @record
 class Vehicle:
-    """A quadrotor with four upright rotors, symmetric about its centre of mass. Body frame FLU, SI units.
+    """A quadrotor with four upright rotors. Body frame FLU, SI units.
 
     Python floats and float64 NumPy arrays at the host; cast with ``astype`` where arithmetic begins. Raises InputError
-    for values that are no quadrotor, and for layouts whose mixer rows are not orthogonal (``allocation`` needs that).
+    for values that are no quadrotor, for a mixer without full rank, and where a rotor's limits exclude hovering.
     """
 
     name: str = static()
@@ -116,7 +123,8 @@ def list_presets() -> list[str]:
 def load_vehicle(name_or_path: str | Path = "mfrl") -> Vehicle:
     """A preset by name, or a TOML file of the same form by path (anything with a suffix or a folder).
 
-    Raises InputError for an unknown name, FileError for a file that cannot be used.
+    ``jaxplan.load_vehicle`` reads MJCF as well. Raises InputError for an unknown name, FileError for a file that cannot
+    be used.
     """
     path = Path(name_or_path)
     if path.suffix or path.parent != Path("."):
@@ -183,31 +191,39 @@ def _require(vehicle: Vehicle, name: str, want: str, good: Any) -> None:
         )
 
 
+def hover_speeds(vehicle: Vehicle) -> Float[np.ndarray, "4"]:
+    """rad/s of each rotor at rest (host); negative where the rotor would have to pull downwards."""
+    x, y = np.asarray(vehicle.rotor_positions, dtype=np.float64)[:, :2].T
+    rows = np.stack([y, -x, np.asarray(vehicle.rotor_spin, dtype=np.float64), np.ones(4)])
+    lift = vehicle.mass * vehicle.gravity / vehicle.thrust_coefficient
+    squares = np.linalg.solve(rows, [0.0, 0.0, 0.0, float(lift)])
+    return np.sign(squares) * np.sqrt(np.abs(squares))
+
+
 def _check_layout(vehicle: Vehicle) -> None:
-    """Roll, pitch, yaw and thrust must be orthogonal in the four rotors, and roll and pitch not zero."""
+    """Roll, pitch, yaw and thrust must be independent in the four rotors."""
     _require(vehicle, "rotor_positions", "(any sign)", np.isfinite)
     positions = np.asarray(vehicle.rotor_positions, dtype=np.float64)
     rows = np.stack([positions[:, 1], -positions[:, 0], np.asarray(vehicle.rotor_spin), np.ones(4)])
-    rank = int(np.linalg.matrix_rank(rows))
+    lengths = np.linalg.norm(rows, axis=1, keepdims=True)
+    rank = int(np.linalg.matrix_rank(rows / np.where(lengths == 0.0, 1.0, lengths), tol=_LEAST_AUTHORITY))
     if rank < 4:
         raise InputError(
             f"The mixer of vehicle {vehicle.name!r} has rank {rank} (positions {positions.tolist()}, spins "
             f"{np.asarray(vehicle.rotor_spin).tolist()}): want 4, so that roll, pitch, yaw and thrust are independent."
         )
-    lengths = np.linalg.norm(rows, axis=1)
-    gram = rows @ rows.T
-    if not np.all(lengths > 0.0) or np.any(np.abs(gram - np.diag(np.diag(gram))) > 1e-9 * np.outer(lengths, lengths)):
-        raise InputError(
-            f"The rotors of vehicle {vehicle.name!r} are not symmetric about the centre of mass (positions "
-            f"{positions.tolist()}, spins {np.asarray(vehicle.rotor_spin).tolist()}): "
-            "want an X or H layout with opposite rotors of equal spin."
-        )
 
 
 def _check_hover(vehicle: Vehicle) -> None:
-    hover = float(np.sqrt(vehicle.mass * vehicle.gravity / (4.0 * vehicle.thrust_coefficient)))
-    if not vehicle.rotor_speed_max > hover:
+    speeds = hover_speeds(vehicle)
+    if not np.all(speeds < vehicle.rotor_speed_max):
         raise InputError(
             f"rotor_speed_max of vehicle {vehicle.name!r} is {float(vehicle.rotor_speed_max):.0f} rad/s, but hovering "
-            f"takes {hover:.0f} rad/s: want more than that."
+            f"takes {np.max(speeds):.0f} rad/s: want more than that."
+        )
+    if not np.all(speeds > max(float(vehicle.rotor_speed_min), _LEAST_HOVER * np.max(speeds))):
+        raise InputError(
+            f"Hovering takes the rotors of vehicle {vehicle.name!r} to {np.round(speeds).tolist()} rad/s (below 0: "
+            f"pulling down): want each above rotor_speed_min, {float(vehicle.rotor_speed_min):.0f} rad/s, and above "
+            "1 % of the fastest; the centre of mass must lie between the rotors."
         )

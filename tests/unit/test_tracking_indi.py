@@ -4,8 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 
 from jaxplan.errors import InputError
+from jaxplan.records import replace
 from jaxplan.spline import FlatState
 from jaxplan.tracking.filters import FilterState
 from jaxplan.tracking.indi import indi
@@ -63,6 +65,40 @@ def test_yaw_gives_way_before_thrust_and_thrust_before_roll(vehicle: Vehicle) ->
     commands, saturated = solve(jnp.array([50.0, 0.0, 0.0]), jnp.array(weight))
     assert saturated
     np.testing.assert_allclose(np.sort(commands), [0.0, 0.0, 2200.0, 2200.0])
+
+
+KITE = np.array([[0.12, 0.06, 0.0], [0.07, -0.1, 0.01], [-0.09, -0.07, 0.0], [-0.06, 0.11, -0.01]])
+MIDDLE = np.array([[0.1, 0.0, 0.0], [-0.05, -0.09, 0.0], [-0.05, 0.09, 0.0], [0.0, 0.0, 0.0]])
+
+
+@pytest.mark.parametrize("positions", [KITE, MIDDLE, None], ids=["kite", "triangle and centre", "symmetric"])
+def test_what_gives_way_is_what_linear_programming_says(vehicle: Vehicle, positions: np.ndarray | None) -> None:
+    """Roll and pitch are kept with the nearest thrust that any yaw moment allows."""
+    if positions is not None:
+        spin = np.array([1.0, 1.0, 1.0, -1.0]) if positions is MIDDLE else np.array([1.0, -1.0, 1.0, -1.0])
+        vehicle = replace(load_vehicle(), rotor_positions=positions, rotor_spin=spin).astype(jnp.float64)
+    rng = np.random.default_rng(1)
+    moments = rng.normal(size=(120, 3)) * np.array([0.5, 0.5, 0.05])
+    thrusts = rng.uniform(-5.0, 40.0, 120)
+    mixer = np.asarray(allocation_matrix(vehicle))
+    solve = jax.jit(jax.vmap(lambda m, t: rotor_commands(vehicle, m, t, jnp.full(4, 1080.0))))
+    commands, saturated = solve(jnp.asarray(moments), jnp.asarray(thrusts))
+    wrenches = np.asarray(commands) ** 2 @ mixer.T
+    most, kept = float(vehicle.rotor_speed_max) ** 2, 0
+    for moment, thrust, wrench, flag in zip(moments, thrusts, wrenches, saturated, strict=True):
+        # scaled squares of the rotor speeds in [0, 1], and how far the thrust is from the wanted one
+        rows = mixer * most
+        equal = np.hstack([rows[:2], np.zeros((2, 1))])
+        away = np.array([[*rows[3], -1.0], [*-rows[3], -1.0]])
+        best = linprog([0, 0, 0, 0, 1], away, [thrust, -thrust], equal, moment[:2], [(0, 1)] * 4 + [(0, None)])
+        if best.status != 0:
+            assert flag
+            continue
+        kept += 1
+        np.testing.assert_allclose(wrench[:2], moment[:2], atol=1e-6)
+        assert abs(wrench[3] - thrust) == pytest.approx(best.fun, abs=1e-6)
+        assert flag or best.fun < 1e-9
+    assert kept > 40
 
 
 def test_nan_shows_in_commands_and_in_the_flag(vehicle: Vehicle) -> None:

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from jaxplan.records import replace
 from jaxplan.spline import FlatState, hover
 from jaxplan.vehicle.flatness import FlatOutputs, attitude_from, differential_flatness
 from jaxplan.vehicle.limits import rotor_limit_margin
-from jaxplan.vehicle.params import Vehicle, load_vehicle
+from jaxplan.vehicle.params import Vehicle, hover_speeds, load_vehicle
 from jaxplan.vehicle.rotations import quat_from_rotation, rotation_from_quat, rotation_vector
 from oracles import plant_references
 from tolerances import assert_close
@@ -86,6 +87,20 @@ def test_force_heading_and_moment_are_as_demanded(vehicle: Vehicle) -> None:
     rates, inertia = np.asarray(out.body_rates), np.asarray(vehicle.inertia)
     gyroscopic = np.asarray(out.moment) - inertia * np.asarray(out.angular_acceleration)
     assert_close(np.sum(gyroscopic * rates, axis=1), np.zeros(50), "solve")  # does no work; rates reach 1e2 rad/s
+
+
+def test_the_rotors_of_a_layout_without_symmetry_make_the_demanded_wrench() -> None:
+    arms = np.array([[0.12, 0.06, 0.0], [0.07, -0.1, 0.01], [-0.09, -0.07, 0.0], [-0.06, 0.11, -0.01]])
+    vehicle = replace(load_vehicle(), rotor_positions=arms)
+    out = flat(vehicle, random_states(50, seed=3))
+    squares = np.sign(out.rotor_speeds) * np.asarray(out.rotor_speeds) ** 2
+    pull = vehicle.thrust_coefficient * squares
+    yaw = vehicle.torque_coefficient * squares @ vehicle.rotor_spin
+    moment = np.stack([pull @ arms[:, 1], -pull @ arms[:, 0], yaw], axis=1)
+    np.testing.assert_allclose(moment, out.moment, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(np.sum(pull, axis=1), out.thrust, rtol=1e-9, atol=1e-9)
+    level = differential_flatness(vehicle, states(hover(np.zeros(3))))
+    assert_close(level.rotor_speeds, hover_speeds(vehicle), "solve")
 
 
 def test_turning_the_world_turns_the_outputs(vehicle: Vehicle) -> None:

@@ -11,7 +11,7 @@ import pytest
 from jaxplan.errors import FileError, InputError
 from jaxplan.records import replace
 from jaxplan.vehicle.allocation import allocation_matrix, inverse_allocation_matrix, signed_sqrt
-from jaxplan.vehicle.params import Vehicle, list_presets, load_vehicle
+from jaxplan.vehicle.params import Vehicle, hover_speeds, list_presets, load_vehicle
 
 
 @pytest.mark.parametrize(("name", "hover", "ratio"), [("mfrl", 1080.0, 4.15), ("flightgoggles", 1133.0, 3.77)])
@@ -50,6 +50,51 @@ def test_allocation_is_the_published_frd_mixer_seen_in_flu(name: str) -> None:
     np.testing.assert_allclose(inverse, np.linalg.inv(flu), rtol=1e-9, atol=1e-3)  # entries are 1e5 to 1e7
 
 
+LAYOUTS = {
+    "kite": (
+        [[0.12, 0.06, 0.0], [0.07, -0.1, 0.01], [-0.09, -0.07, 0.0], [-0.06, 0.11, -0.01]],
+        [1.0, -1.0, 1.0, -1.0],
+    ),
+    "triangle and centre": (
+        [[0.1, 0.0, 0.0], [-0.05, -0.09, 0.0], [-0.05, 0.09, 0.0], [0.0] * 3],
+        [1.0, 1.0, 1.0, -1.0],
+    ),
+    "spins by sides": (
+        [[0.1, 0.06, 0.0], [0.1, -0.06, 0.0], [-0.1, -0.12, 0.0], [-0.1, 0.12, 0.0]],
+        [1.0, -1.0, -1.0, 1.0],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_layouts_without_symmetry_are_inverted(name: str) -> None:
+    positions, spin = (np.array(part) for part in LAYOUTS[name])
+    vehicle = replace(load_vehicle(), rotor_positions=positions, rotor_spin=spin)
+    with jax.enable_x64(True):
+        cast = vehicle.astype(jnp.float64)
+        matrix, inverse = np.asarray(allocation_matrix(cast)), np.asarray(inverse_allocation_matrix(cast))
+    np.testing.assert_allclose(inverse @ matrix, np.eye(4), atol=1e-12)
+    single = np.asarray(inverse_allocation_matrix(vehicle.astype(jnp.float32)))
+    np.testing.assert_allclose(single @ matrix, np.eye(4), atol=1e-5)
+    speeds = hover_speeds(vehicle)
+    assert (np.ptp(speeds) > 10.0) == (name != "spins by sides")
+    weight = vehicle.mass * vehicle.gravity
+    np.testing.assert_allclose(matrix @ speeds**2, [0.0, 0.0, 0.0, weight], atol=1e-12 * weight)
+
+
+def test_a_mixer_without_full_rank_is_refused_with_its_rank() -> None:
+    vehicle = load_vehicle()
+    row = np.array([[0.1, 0.0, 0.0], [-0.1, 0.0, 0.0], [0.2, 0.0, 0.0], [-0.2, 0.0, 0.0]])
+    for positions, spin, rank in (
+        (row, [1.0, -1.0, 1.0, -1.0], 3),
+        (row, [1.0, 1.0, 1.0, 1.0], 2),
+        (np.zeros((4, 3)), [1.0, -1.0, 1.0, -1.0], 2),
+        (vehicle.rotor_positions, [1.0, 1.0, -1.0, -1.0], 3),
+    ):
+        with pytest.raises(InputError, match=f"rank {rank} .*want 4"):
+            replace(vehicle, rotor_positions=positions, rotor_spin=np.array(spin))
+
+
 def test_signed_sqrt_keeps_sign_and_nan() -> None:
     np.testing.assert_allclose(signed_sqrt(jnp.array([4.0, 0.0, -9.0])), [2.0, 0.0, -3.0])
     assert np.isnan(signed_sqrt(jnp.array(jnp.nan)))
@@ -79,7 +124,8 @@ def test_missing_file_is_named(tmp_path: Path) -> None:
         ("inertia = [0.004, 0.004, 0.006]", "inertia = [0.004, 0.004]", "'inertia'"),
         ("inertia = [0.004, 0.004, 0.006]", "inertia = [[0.004], [0.004, 1.0]]", "'inertia'"),
         ("rotor_spin = [1.0, -1.0, 1.0, -1.0]", "rotor_spin = [1.0, 1.0, -1.0, -1.0]", "rank 3"),
-        ("[0.08, 0.08, 0.0],", "[0.09, 0.08, 0.0],", "symmetric"),
+        ("[-0.08, 0.08, 0.0],", "[0.08, 0.08, 0.0],", "centre of mass must lie between"),
+        ("rotor_speed_min = 0.0", "rotor_speed_min = 1100.0", "above rotor_speed_min, 1100"),
         ("rotor_speed_min = 0.0", "rotor_speed_min = 3000.0", "rotor_speed_max"),
         ("rotor_speed_max = 2200.0", "rotor_speed_max = 1000.0", "hovering takes 1080 rad/s"),
         ("inertia = [0.004, 0.004, 0.006]", "inertia = [0.004, -0.004, 0.006]", "inertia"),

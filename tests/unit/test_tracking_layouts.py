@@ -1,0 +1,60 @@
+"""Vehicles without symmetry fly: they hover and follow a circle, with hover speeds that differ from rotor to rotor."""
+
+import jax
+import numpy as np
+import pytest
+
+from jaxplan.records import replace
+from jaxplan.spline import FlatState, hover
+from jaxplan.tracking.rollout import CONTROL_RATE, ControllerName, build_plant
+from jaxplan.vehicle.params import hover_speeds, load_vehicle
+from oracles import plant_references
+
+TIMES = np.arange(4 * CONTROL_RATE + 1) / CONTROL_RATE
+LAYOUTS = {
+    "kite": (
+        [[0.12, 0.06, 0.0], [0.07, -0.1, 0.01], [-0.09, -0.07, 0.0], [-0.06, 0.11, -0.01]],
+        [1.0, -1.0, 1.0, -1.0],
+    ),
+    "triangle and centre": (
+        [[0.1, 0.0, 0.0], [-0.05, -0.09, 0.0], [-0.05, 0.09, 0.0], [0.0] * 3],
+        [1.0, 1.0, 1.0, -1.0],
+    ),
+    "spins by sides": (
+        [[0.1, 0.06, 0.0], [0.1, -0.06, 0.0], [-0.1, -0.12, 0.0], [-0.1, 0.12, 0.0]],
+        [1.0, -1.0, -1.0, 1.0],
+    ),
+}
+"""Places [m] and spins. In the last, yaw has to be made against the reaction of the rotors."""
+
+
+def references() -> FlatState:
+    """Hover, and a circle of 2 m at 2 m/s, as the last axis."""
+    circle = plant_references.helix(TIMES, 2.0, 1.0, 0.0, 0.0)
+    still = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (len(TIMES), *leaf.shape)), hover(np.zeros(3), yaw=0.5))
+    return jax.tree.map(lambda *leaves: np.stack(leaves, axis=-1), still, circle)
+
+
+@pytest.mark.parametrize(
+    ("name", "controller"),
+    [
+        ("kite", "indi"),
+        pytest.param("kite", "se3", marks=pytest.mark.slow),
+        pytest.param("triangle and centre", "indi", marks=pytest.mark.slow),
+        pytest.param("spins by sides", "indi", marks=pytest.mark.slow),
+    ],
+)
+def test_layouts_without_symmetry_hover_and_follow_a_circle(name: str, controller: ControllerName) -> None:
+    positions, spin = (np.array(part) for part in LAYOUTS[name])
+    vehicle = replace(load_vehicle(), rotor_positions=positions, rotor_spin=spin)
+    plant, flights = build_plant(vehicle, noise=False, controller=controller), references()
+    begin = jax.tree.map(lambda leaf: leaf[0], flights)
+    states = jax.vmap(plant.reset, (-1, 0), -1)(begin, jax.random.split(jax.random.key(0), 2))
+    np.testing.assert_allclose(states.rotor_speeds[:, 0], hover_speeds(vehicle), rtol=1e-4)
+    log = plant.fly_lanes(states, flights)[1]
+    error, yaw = np.max(log.position_error, axis=0), np.max(log.yaw_error, axis=0)
+    print(name, controller, error, yaw)
+    assert error[0] < 1e-3
+    assert error[1] < (0.02 if controller == "indi" else 0.05)
+    assert np.all(yaw < np.radians(1.0))
+    assert not np.any(log.saturated)
