@@ -6,6 +6,7 @@ import jax
 import numpy as np
 import pytest
 
+import jaxplan
 from jaxplan.errors import FileError
 from jaxplan.tracking.model import vehicle_mjcf
 from jaxplan.tracking.user_vehicle import vehicle_from_mjcf
@@ -45,6 +46,13 @@ def test_mass_inertia_rotors_and_limits_are_read(tmp_path: Path) -> None:
     assert vehicle.torque_coefficient == pytest.approx(0.02 * base.thrust_coefficient)
     assert vehicle.thrust_coefficient * vehicle.rotor_speed_max**2 == pytest.approx(8.0)
     assert vehicle.motor_time_constant == base.motor_time_constant
+
+
+def test_the_public_loader_takes_presets_toml_and_mjcf(tmp_path: Path) -> None:
+    assert jaxplan.load_vehicle().name == "mfrl"
+    preset = Path(load_vehicle.__code__.co_filename).parent / "presets" / "flightgoggles.toml"
+    assert jaxplan.load_vehicle(preset).mass == jaxplan.load_vehicle("flightgoggles").mass == 1.0
+    assert jaxplan.load_vehicle(str(written(tmp_path, MINE))).mass == 0.9
 
 
 def test_the_generated_model_reads_back_as_the_vehicle_it_came_from(tmp_path: Path) -> None:
