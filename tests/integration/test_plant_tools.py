@@ -1,6 +1,8 @@
 """The experiment and the benchmark of the plant, at their smallest."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -37,3 +39,29 @@ def test_the_benchmark_runs(tmp_path: Path) -> None:
     )
     report = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
     assert [row["flights_per_s"] > 0.0 for row in report["rows"] if "flights_per_s" in row] == [True] * 3
+
+
+_GROWTH = """
+import resource
+import numpy as np
+from jaxplan.minsnap.problem import minimum_snap
+from jaxplan.tracking.track import track
+
+def peak():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+spline = minimum_snap(np.array([[0.0, 0.0, 1.0], [1.0, 0.5, 1.0]]), np.array([1.5]))
+for count in (256, 512, 4096):
+    result = track([spline] * count)
+    assert result.feasible.all() and len(result.feasible) == count
+    print(peak())
+"""
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow_with_the_number_of_flights() -> None:
+    """Peak memory [MiB] of a process of its own, after 256, 512 and 4096 flights."""
+    done = subprocess.run([sys.executable, "-c", _GROWTH], capture_output=True, text=True, timeout=500, check=True)
+    few, more, many = map(float, done.stdout.split())
+    print(f"peak memory {few:.0f} MiB after 256 flights, {more:.0f} MiB after 512, {many:.0f} MiB after 4096")
+    assert many - few < 32.0  # the logs of 3840 more flights of 300 steps would take 85 MiB
