@@ -20,8 +20,8 @@ from jaxplan.vehicle.params import load_vehicle
 
 
 def random_spline(rng: np.random.Generator, speed: float) -> PiecewisePolynomial:
-    """Rest to rest through 2 to 5 random points at about ``speed`` m/s."""
-    waypoints = np.cumsum(rng.uniform(-2.0, 2.0, (rng.integers(2, 6), 3)), axis=0)
+    """Rest to rest through 2 or 5 random points at about ``speed`` m/s; each number of points compiles for seconds."""
+    waypoints = np.cumsum(rng.uniform(-2.0, 2.0, (rng.choice([2, 5]), 3)), axis=0)
     yaw = np.cumsum(rng.uniform(-0.3, 0.3, len(waypoints)))
     return minimum_snap(waypoints, np.linalg.norm(np.diff(waypoints, axis=0), axis=1) / speed + 0.2, yaw=yaw)
 
