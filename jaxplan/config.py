@@ -31,7 +31,7 @@ class InterceptConfig:
     target_model: str | None = None
     """A mixture for --predictor gmm (.npy, see jaxplan train gmm). Default: the world's own, or the generic one."""
 
-    planner: Planner = "no-policy"
+    planner: Planner = "pretrained"
     """Who allots the times between waypoints; no-policy: distance / 2.5 m/s; pretrained: the learned policy."""
 
     speed: float | None = None

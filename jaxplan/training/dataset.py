@@ -196,8 +196,9 @@ def read_shard(path: Path) -> Shard:
     """A shard of ``make_dataset``."""
     try:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
-            queries = Queries(data["waypoints"], data["count"], data["derivatives"], data["yaw"])
-            return Shard(queries, data["durations"], data["feasible"], data["slowdown"])
+            wide = {name: data[name].astype(float) for name in ("waypoints", "derivatives", "yaw", "durations")}
+            queries = Queries(wide["waypoints"], data["count"], wide["derivatives"], wide["yaw"])
+            return Shard(queries, wide["durations"], data["feasible"], data["slowdown"].astype(float))
     except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
         raise FileError(f"{path}: cannot be read as a shard of a training set ({error}); make it again") from error
 

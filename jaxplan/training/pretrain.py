@@ -46,8 +46,8 @@ class PretrainConfig:
     """Weight of the error of the total time."""
     average: float = 0.999
     """Decay of the running mean of the weights, which is what is kept."""
-    evaluate_every: int = 1_000
-    patience: int = 10
+    evaluate_every: int = 500
+    patience: int = 12
     """Evaluations without a better score after which training ends."""
     seed: int = 0
 

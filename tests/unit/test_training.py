@@ -97,6 +97,7 @@ def test_shards_come_back_and_damaged_ones_are_refused(tmp_path):
     write_shard(path, shard)
     back = read_shard(path)
     np.testing.assert_allclose(back.durations, shard.durations, rtol=1e-6)
+    assert {leaf.dtype for leaf in (back.durations, back.slowdown, back.queries.waypoints)} == {np.dtype(float)}
     np.testing.assert_array_equal(back.queries.count, shard.queries.count)
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(FileError, match=r"shard-0000\.npz"):
