@@ -177,3 +177,32 @@ def test_foreign_checkpoints_are_refused(tmp_path, change):
 def test_unknown_names_are_refused_with_the_known_ones():
     with pytest.raises(FileError, match="neither a file nor a shipped policy"):
         load_policy("no-such-policy")
+
+
+def test_the_shipped_policy_says_how_it_was_made_and_gives_sensible_times():
+    """Straight flights from hover: longer ones take longer, at mean speeds that the vehicle has."""
+    card = policy_card("pretrained")
+    assert card["command"].startswith("jaxplan train pretrain")
+    assert len(card["data"]["sha256"]) == 64
+    assert 0.9 < card["scores"]["relative_time"] < 1.1
+    lengths = np.linspace(1.0, 20.0, 20)
+    points = np.zeros((14, 3, 20))
+    points[1:, 0] = lengths
+    derivatives, yaw = np.zeros((5, 3, 20)), np.zeros((3, 20))
+    state = FlatState(derivatives=derivatives, yaw=yaw)
+    total = durations(load_policy("pretrained"), points, np.full(20, 2), state).sum(axis=0)
+    assert (np.diff(total) > 0.0).all()
+    speed = lengths / total
+    assert (speed > 0.5).all()
+    assert (speed < 8.0).all()
+
+
+def test_the_shipped_policy_takes_longer_from_a_faster_start_that_must_be_stopped():
+    """Flying away from the goal: the faster, the longer."""
+    points = np.zeros((14, 3, 6))
+    points[1:, 0] = 3.0
+    derivatives = np.zeros((5, 3, 6))
+    derivatives[1, 0] = -np.arange(6.0)
+    state = FlatState(derivatives=derivatives, yaw=np.zeros((3, 6)))
+    total = durations(load_policy("pretrained"), points, np.full(6, 2), state).sum(axis=0)
+    assert (np.diff(total) > 0.0).all()
