@@ -173,7 +173,7 @@ def _evaluate(
         arrival = stations.match(stations.pick(context, lanes), state, pad(times[members], size, fill=1.0))
         timer.lap("policy", arrival)
         traced = stations.trace(state, some, arrival.durations)
-        reasons = np.asarray(arrival.reasons | traced[1].reasons)[: len(members)]
+        reasons = (np.asarray(arrival.reasons) | np.asarray(traced[1].reasons))[: len(members)]
         timer.lap("minsnap")
         yield Evaluated(members, np.asarray(arrival.alpha)[: len(members)], reasons, traced)
         begin += size
@@ -210,6 +210,9 @@ def _compile_all(stations: Stations, config: PlannerConfig, state: FlatState) ->
         for length in LENGTHS:
             some = shortened(routes, length)
             context, _ = stations.read(some, state)
+            if bucket == config.buckets[0]:
+                durations = stations.stretch(some, state, np.ones(bucket))
+                jax.block_until_ready(stations.trace(state, some, durations))
             for size in [bucket] if config.exhaustive else set(_round_sizes(config)):
                 lanes = np.zeros(size, dtype=int)
                 picked = stations.pick(context, lanes), stations.pick(some, lanes)
