@@ -204,7 +204,7 @@ def _draw_legend(axes: Axes, episode: "Episode", shown: CandidateCurves | None, 
         counts = int(shown.usable.sum()), int((~shown.usable).sum())
         entries += [
             (Line2D([], [], color=USABLE, lw=1.2, marker="o", ms=3.5), f"usable candidate ({counts[0]})"),
-            (Line2D([], [], color=REJECTED, lw=1.2, marker="x", ms=4.5), f"rejected candidate ({counts[1]})"),
+            (Line2D([], [], color=REJECTED, lw=1.2, marker="x", ms=4.5), f"rejected or outranked ({counts[1]})"),
         ]
         if shown.chosen is not None:
             entries.append((Line2D([], [], color=USABLE, lw=1.8, ls=":"), "committed trajectory"))
