@@ -16,14 +16,16 @@ import cyclopts
 import jax
 import numpy as np
 
-from jaxplan.arrival import ArrivalConfig, match_arrival, sped_up
+from jaxplan.arrival import ArrivalConfig, match_arrival
+from jaxplan.arrival import sped_up as sped_up_state
 from jaxplan.numerics import in_float64
 from jaxplan.policy.checkpoint import load_policy
 from jaxplan.spline import FlatState
 from jaxplan.tracking.result import TRAINING
 from jaxplan.tracking.track import track
+from jaxplan.training.dataset import build_flights
 from jaxplan.training.evaluate import policy_durations
-from jaxplan.training.labels import LabelConfig, initial_states, trajectories
+from jaxplan.training.labels import LabelConfig, initial_states, sped_up
 from jaxplan.training.sequences import free_queries, join, suffix_queries
 from jaxplan.viz.alpha_iteration import draw_alpha_iteration
 
@@ -31,26 +33,18 @@ ALPHAS = np.round(np.arange(0.7, 2.01, 0.1), 2)
 PASSES = 16
 
 
-@in_float64
 def sequences(policy, count, rng):
     """Half from hover, half from states in flight on the policy's own trajectories."""
     rest = free_queries(rng, count // 2)
-    flights = jax.jit(functools.partial(trajectories, max_yaw_rate=LabelConfig().max_yaw_rate))
-    flown = jax.tree.map(np.asarray, flights(rest, policy_durations(policy, rest)))
+    flown = build_flights(LabelConfig())(rest, policy_durations(policy, rest))
     return join([rest, suffix_queries(rng, rest, flown)])
-
-
-def faster(queries, alpha):
-    """The same sequences from initial states sped up by alpha."""
-    powers = np.broadcast_to(alpha, queries.count.shape) ** np.arange(5)[:, None]
-    return queries._replace(derivatives=queries.derivatives * powers[1:, None], yaw=queries.yaw * powers[:3])
 
 
 def fixed_point_errors(policy, queries, goals):
     """The paper's iteration: relative error of the arrival time after each pass."""
     alpha, errors = np.ones(len(goals)), []
     for _ in range(PASSES):
-        total = policy_durations(policy, faster(queries, alpha)).sum(axis=0)
+        total = policy_durations(policy, sped_up(queries, alpha)).sum(axis=0)
         errors.append(np.abs(alpha * total / goals - 1.0))
         alpha = goals / total
     return np.stack(errors)
@@ -64,7 +58,7 @@ def safeguarded_errors(policy, queries, goals, config):
         context = policy.encode(waypoints[..., None], count[None])
         found = match_arrival(lambda s: policy.decode(context, s), state, goal[None], passes)
         alpha = found.alpha
-        total = policy.decode(context, sped_up(state, alpha)).sum(axis=0)
+        total = policy.decode(context, sped_up_state(state, alpha)).sum(axis=0)
         return (abs(alpha * total / goal - 1.0))[0], found.calls[0], found.reasons[0]
 
     states = initial_states(queries)
@@ -95,11 +89,11 @@ def main(
     paper = fixed_point_errors(chosen, queries, goals)
     errors = {"fixed point (paper)": paper, "safeguarded": np.concatenate([paper[:1], ours])}  # both begin at alpha = 1
     times, tracking = [], []
-    fly = in_float64(jax.jit(functools.partial(trajectories, max_yaw_rate=LabelConfig().max_yaw_rate)))
+    fly = build_flights(LabelConfig())
     for alpha in ALPHAS:
-        durations = alpha * policy_durations(chosen, faster(queries, alpha))
+        durations = alpha * policy_durations(chosen, sped_up(queries, alpha))
         times.append(durations.sum(axis=0) / least)
-        error = track(jax.tree.map(np.asarray, fly(queries, durations))).max_position_error
+        error = track(fly(queries, durations)).max_position_error
         tracking.append(np.where(error < 5.0, error, np.nan))  # lost: its error says only how far it fell
     grows = (np.diff(np.stack(times), axis=0) > 0.0).all(axis=0)
     report = {

@@ -109,9 +109,9 @@ def gmm(
 
 def _flights(kind: str, room: "World | None", dt: float) -> "tuple[WaypointSource, WindowConfig]":
     """Where waypoints come from, and how flights are cut."""
-    from jaxplan.cli.tours import tours
     from jaxplan.errors import InputError
     from jaxplan.prediction.windows import OPEN_SPACE, WindowConfig, chains, walks
+    from jaxplan.training.tours import tours
 
     if (room is None) != (kind == "walks"):
         raise InputError(f"--flights: have {kind!r}, want walks without --world and tours or chains with it")

@@ -1,7 +1,6 @@
 """``jaxplan train dataset|pretrain``: how the shipped policies are made."""
 
 import dataclasses
-import json
 from pathlib import Path
 
 from jaxplan.versions import require_supported_jax
@@ -76,7 +75,7 @@ def pretrain(
     from jaxplan.errors import InputError
     from jaxplan.policy.checkpoint import load_policy, save_policy
     from jaxplan.policy.network import NetworkConfig
-    from jaxplan.training.dataset import digest
+    from jaxplan.training.dataset import digest, read_config
     from jaxplan.training.evaluate import score_policy
     from jaxplan.training.pretrain import PretrainConfig
     from jaxplan.training.pretrain import pretrain as train
@@ -90,7 +89,7 @@ def pretrain(
     card = {
         "command": "jaxplan train pretrain " + " ".join(f"--{key} {value}" for key, value in options.items()),
         "config": dataclasses.asdict(config),
-        "data": {"sha256": digest(data / "dataset.json"), **json.loads((data / "dataset.json").read_text())["config"]},
+        "data": {"sha256": digest(data / "dataset.json"), **dataclasses.asdict(read_config(data))},
         "steps_taken": int(state.step),
         "held_out_error_of_total_time": error.overall,
     }

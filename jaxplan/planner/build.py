@@ -53,9 +53,9 @@ class Parts(NamedTuple):
 
 
 class Evaluated(NamedTuple):
-    """What became of the candidates ``members`` in one round."""
+    """What became of some lanes of the routes in one round."""
 
-    members: Int[np.ndarray, "n"]
+    lanes: Int[np.ndarray, "n"]
     alpha: Float[np.ndarray, "n"]
     reasons: UInt32[np.ndarray, "n"]
     traced: tuple[SplineBatch, Margins]
@@ -93,16 +93,17 @@ def _plan_batch(parts: Parts, state: FlatState, candidates: Candidates, timer: T
     shares = times[chosen] / np.asarray(least)[: len(chosen)]
     reasons[chosen] |= np.where(shares >= 1.0 - config.arrival.tolerance, 0, Reason.ALPHA_LT_1).astype(np.uint32)
     timer.lap("policy")
-    lane_of = scatter(np.arange(len(chosen)), chosen, len(goals), 0)
-    order = chosen if config.exhaustive else _by_score(score, reasons)
-    rounds = list(_evaluate(parts, state, routes, context, times, lane_of, order, timer))
+    order = np.arange(len(chosen)) if config.exhaustive else _by_score(score[chosen], reasons[chosen])
+    rounds = list(_evaluate(parts, state, routes, context, times[chosen], order, timer))
     alpha, lanes = scatter(shares, chosen, len(goals), np.nan), np.full(len(goals), -1)
     for part in rounds:
-        lanes[part.members] = np.arange(len(part.members)) + lanes.max() + 1
-        alpha[part.members] = part.alpha
-        reasons[part.members] |= part.reasons
-    reasons[order[lanes[order] < 0]] |= np.uint32(Reason.OUTRANKED)
-    splines, margins = join_lanes([(part.traced, len(part.members)) for part in rounds])
+        members = chosen[part.lanes]
+        lanes[members] = np.arange(len(members)) + lanes.max() + 1
+        alpha[members] = part.alpha
+        reasons[members] |= part.reasons
+    waiting = chosen[order]
+    reasons[waiting[lanes[waiting] < 0]] |= np.uint32(Reason.OUTRANKED)
+    splines, margins = join_lanes([(part.traced, len(part.lanes)) for part in rounds])
     timer.lap("select")
     return Plans(
         goals=goals,
@@ -157,25 +158,24 @@ def _evaluate(
     routes: Routes,
     context: Any,
     times: Float[np.ndarray, "k"],
-    lane_of: Int[np.ndarray, "k"],
     order: Int[np.ndarray, "n"],
     timer: Timer,
 ) -> Iterator[Evaluated]:
-    """Match, solve and check candidates in ``order``, in growing rounds, until a round has a usable one.
+    """Match, solve and check the lanes of the routes in ``order``, in growing rounds, until a round has a usable one.
 
     At least one round is run, so that there are arrays to return.
     """
     stations, config, begin = parts.stations, parts.config, 0
     for size in _rounds(len(order), config):
-        members = order[begin : begin + size]
-        lanes = pad(lane_of[members], size, fill=0)
-        some = stations.pick(routes, lanes)
-        arrival = stations.match(stations.pick(context, lanes), state, pad(times[members], size, fill=1.0))
+        lanes = order[begin : begin + size]
+        padded = pad(lanes, size, fill=0)
+        some = stations.pick(routes, padded)
+        arrival = stations.match(stations.pick(context, padded), state, pad(times[lanes], size, fill=1.0))
         timer.lap("policy", arrival)
         traced = stations.trace(state, some, arrival.durations)
-        reasons = (np.asarray(arrival.reasons) | np.asarray(traced[1].reasons))[: len(members)]
+        reasons = (np.asarray(arrival.reasons) | np.asarray(traced[1].reasons))[: len(lanes)]
         timer.lap("minsnap")
-        yield Evaluated(members, np.asarray(arrival.alpha)[: len(members)], reasons, traced)
+        yield Evaluated(lanes, np.asarray(arrival.alpha)[: len(lanes)], reasons, traced)
         begin += size
         if not config.exhaustive and (reasons == 0).any():
             return

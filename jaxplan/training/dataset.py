@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from jaxplan.errors import FileError, InputError
 from jaxplan.minsnap.batch import SplineBatch
@@ -109,14 +109,11 @@ def make_dataset(folder: Path, config: DatasetConfig, report: Callable[[str], No
 
 def add_rollouts(folder: Path, report: Callable[[str], None] = print) -> None:
     """Fly the labelled sequences of all shards that have not been flown yet."""
+    config = read_config(folder)
     stated = folder / "dataset.json"
-    if not stated.exists():
-        raise FileError(f"{folder}: has no dataset.json; make it with jaxplan train dataset")
     record = json.loads(stated.read_text())
-    config = record["config"]
-    vehicle = load_vehicle(config["vehicle"])
-    fly = build_flights(LabelConfig(**{**config["labels"], "span": tuple(config["labels"]["span"])}))
-    for index in range(config["shards"]):
+    vehicle, fly = load_vehicle(config.vehicle), build_flights(config.labels)
+    for index in range(config.shards):
         path = shard_path(folder, index)
         shard = read_shard(path)
         if not np.isnan(shard.slowdown[shard.feasible]).any():
@@ -124,8 +121,19 @@ def add_rollouts(folder: Path, report: Callable[[str], None] = print) -> None:
         slowdown = rollout_slowdown(vehicle, shard.queries, shard.durations, shard.feasible, fly)
         write_shard(path, shard._replace(slowdown=slowdown))
         tracked = np.mean(slowdown[shard.feasible] == 1.0)
-        report(f"shard {index + 1} of {config['shards']}: {tracked:.1%} tracked at the rotors' limit")
-    _state_hashes(folder, stated, record, config["shards"])
+        report(f"shard {index + 1} of {config.shards}: {tracked:.1%} tracked at the rotors' limit")
+    _state_hashes(folder, stated, record, config.shards)
+
+
+def read_config(folder: Path) -> DatasetConfig:
+    """What the dataset in ``folder`` was made with."""
+    stated = folder / "dataset.json"
+    try:
+        config = json.loads(stated.read_text())["config"]
+        labels = LabelConfig(**{**config["labels"], "span": tuple(config["labels"]["span"])})
+        return DatasetConfig(**{**config, "labels": labels})
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise FileError(f"{stated}: is not a dataset's description ({error}); use jaxplan train dataset") from error
 
 
 def _state_hashes(folder: Path, stated: Path, record: dict, shards: int) -> None:
@@ -164,6 +172,7 @@ def make_shard(config: DatasetConfig, index: int, label: Labeller, fly: Callable
 def _replans(
     room: Room, rng: np.random.Generator, place: int, first: Queries, flights: SplineBatch, feasible: np.ndarray
 ) -> Queries:
+    """Sequences from states in flight; sequences at rest again where the room is too full to find enough."""
     lanes = np.arange(place * REST_IN_ROOM, (place + 1) * REST_IN_ROOM)
     lanes = lanes[feasible[lanes]]
     found = replan_queries(
@@ -209,8 +218,3 @@ def is_held_out(index: int) -> bool:
 
 def digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def counts_by_length(counts: Int[np.ndarray, "b"]) -> dict[int, int]:
-    """How many sequences have each number of waypoints."""
-    return {int(n): int(k) for n, k in zip(*np.unique(counts, return_counts=True), strict=True)}

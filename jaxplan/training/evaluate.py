@@ -1,7 +1,6 @@
 """How good a policy is: its times against the optimiser's, and whether the vehicle can follow what it plans."""
 
 import dataclasses
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,12 +9,19 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxplan.minsnap.batch import SplineBatch
 from jaxplan.numerics import in_float64
 from jaxplan.policy.protocol import Policy
 from jaxplan.tracking.track import track
-from jaxplan.training.dataset import LANES, build_labels, is_held_out, read_shard, shard_path
-from jaxplan.training.labels import LabelConfig, Queries, initial_states, trajectories
+from jaxplan.training.dataset import (
+    LANES,
+    build_flights,
+    build_labels,
+    is_held_out,
+    read_config,
+    read_shard,
+    shard_path,
+)
+from jaxplan.training.labels import LabelConfig, Queries, initial_states, sped_up
 from jaxplan.training.sequences import join, take
 from jaxplan.vehicle.params import Vehicle, load_vehicle
 
@@ -51,11 +57,8 @@ class Comparison:
 
 def policy_durations(policy: Policy, queries: Queries) -> Float[np.ndarray, "m b"]:
     """What a policy gives for each query [s] (host)."""
-    return np.asarray(in_float64(_allocate(policy))(queries))
-
-
-def _allocate(policy: Policy) -> Callable[[Queries], jax.Array]:
-    return jax.jit(lambda q: policy.decode(policy.encode(q.waypoints, q.count), initial_states(q)))
+    allocate = jax.jit(lambda q: policy.decode(policy.encode(q.waypoints, q.count), initial_states(q)))
+    return np.asarray(in_float64(allocate)(queries))
 
 
 def compare(
@@ -80,10 +83,7 @@ def response(
     """
     mine, theirs = [], []
     for alpha in ALPHAS:
-        powers = alpha ** np.arange(1, 5)[:, None, None]
-        faster = queries._replace(
-            derivatives=queries.derivatives * powers, yaw=queries.yaw * np.array([[1.0], [alpha], [alpha**2]])
-        )
+        faster = sped_up(queries, alpha)
         durations, feasible = label(faster)
         mine.append(np.log(policy_durations(policy, faster).sum(axis=0)))
         theirs.append(np.where(feasible, np.log(np.maximum(durations.sum(axis=0), 1e-6)), np.nan))
@@ -95,12 +95,12 @@ def response(
 def _tracked(
     vehicle: Vehicle, queries: Queries, durations: Float[np.ndarray, "m b"], config: LabelConfig
 ) -> Bool[np.ndarray, "b"]:
-    fly = jax.jit(lambda queries, durations: trajectories(queries, durations, config.max_yaw_rate))
-    flights: SplineBatch = jax.tree.map(np.asarray, in_float64(fly)(queries, durations))
-    return np.asarray(track(flights, vehicle=vehicle).feasible)
+    return np.asarray(track(build_flights(config)(queries, durations), vehicle=vehicle).feasible)
 
 
-def sample(queries: Queries, labels: np.ndarray, good: Bool[np.ndarray, "b"], count: int, seed: int) -> tuple:
+def sample(
+    queries: Queries, labels: Float[np.ndarray, "m b"], good: Bool[np.ndarray, "b"], count: int, seed: int
+) -> tuple[Queries, Float[np.ndarray, "m n"]]:
     """At most ``count`` of the good sequences, the lengths as even as they can be."""
     rng = np.random.default_rng(seed)
     lanes = np.flatnonzero(good)
@@ -111,10 +111,9 @@ def sample(queries: Queries, labels: np.ndarray, good: Bool[np.ndarray, "b"], co
 
 def score_policy(policy: Policy, data: Path, flights: int, seed: int = 0) -> dict[str, Any]:
     """Scores of a policy on ``flights`` held-out sequences of a dataset, for its model card."""
-    record = json.loads((data / "dataset.json").read_text())["config"]
-    config = LabelConfig(**{**record["labels"], "span": tuple(record["labels"]["span"])})
-    vehicle = load_vehicle(record["vehicle"])
-    shards = [read_shard(shard_path(data, index)) for index in range(record["shards"]) if is_held_out(index)]
+    made = read_config(data)
+    config, vehicle = made.labels, load_vehicle(made.vehicle)
+    shards = [read_shard(shard_path(data, index)) for index in range(made.shards) if is_held_out(index)]
     queries, labels = join([shard.queries for shard in shards]), np.concatenate([s.durations for s in shards], axis=-1)
     slowdown = np.concatenate([shard.slowdown for shard in shards])
     labels *= np.where(np.isfinite(slowdown), slowdown, 1.0)

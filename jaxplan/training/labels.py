@@ -63,13 +63,10 @@ def initial_states(queries: Queries) -> FlatState:
     return FlatState(derivatives=jnp.concatenate([queries.waypoints[:1], queries.derivatives]), yaw=queries.yaw)
 
 
-def queries_at_rest(waypoints: Float[np.ndarray, "n 3 b"], count: Int[np.ndarray, "b"]) -> Queries:
-    """Sequences that begin in hover, heading along their first step."""
-    lanes = waypoints.shape[-1]
-    step = waypoints[1] - waypoints[0]
-    yaw = np.zeros((3, lanes))
-    yaw[0] = np.arctan2(step[1], step[0])
-    return Queries(waypoints, count, np.zeros((4, 3, lanes)), yaw)
+def sped_up(queries: Queries, alpha: Float[np.ndarray, "b"] | float) -> Queries:
+    """The same sequences from alpha D: derivatives of order k times alpha^k (``jaxplan.arrival``; host)."""
+    powers = np.broadcast_to(alpha, np.shape(queries.count)) ** np.arange(5)[:, None]
+    return queries._replace(derivatives=queries.derivatives * powers[1:, None], yaw=queries.yaw * powers[:3])
 
 
 def trajectories(queries: Queries, durations: Float[Array, "m b"], max_yaw_rate: float) -> SplineBatch:
@@ -96,7 +93,7 @@ def rotor_limit_labels(
 
     feasible = jnp.zeros(queries.count.shape, bool)
     for _ in range(config.rounds):
-        ratios = _smoothest(queries, jnp.sum(durations, axis=0), feasible)
+        ratios = _smoothest(queries, jnp.sum(durations, axis=0))
         shorter, found = _shortest(inside, jnp.where(real, ratios, 0.0), config)
         better = found & ~(feasible & (jnp.sum(durations, axis=0) <= jnp.sum(shorter, axis=0)))
         durations, feasible = jnp.where(better, shorter, durations), feasible | found
@@ -150,7 +147,7 @@ def _initial_margin(vehicle: Vehicle, queries: Queries) -> Float[Array, "b"]:
     return margin(initial_states(queries))
 
 
-def _smoothest(queries: Queries, total: Float[Array, "b"], feasible: Bool[Array, "b"]) -> Float[Array, "m b"]:
+def _smoothest(queries: Queries, total: Float[Array, "b"]) -> Float[Array, "m b"]:
     """Durations of least snap that add up to ``total``."""
     settings = TimeAllocationConfig(tolerance=1e-4, max_evaluations=40)
     found = allocate("fixed", None, settings, queries.waypoints, queries.count - 1, total, queries.derivatives, None)

@@ -25,7 +25,7 @@ from jaxplan.policy.network import Bottleneck, NetworkConfig, PolicyNetwork
 from jaxplan.policy.neural import allocate_times, read_sequences
 from jaxplan.search.knots import MAX_WAYPOINTS
 from jaxplan.spline import FlatState
-from jaxplan.training.dataset import is_held_out, read_shard, shard_path
+from jaxplan.training.dataset import is_held_out, read_config, read_shard, shard_path
 
 SHORT = 7
 """Sequences of up to this many waypoints train in batches of their own, at half the cost."""
@@ -90,11 +90,8 @@ class Error(NamedTuple):
 
 def load_examples(folder: Path, *, held_out: bool) -> Examples:
     """The labelled sequences of a dataset's training or held-out shards."""
-    stated = folder / "dataset.json"
-    if not stated.exists():
-        raise FileError(f"{folder}: has no dataset.json; make it with jaxplan train dataset")
     parts = []
-    for index in range(json.loads(stated.read_text())["config"]["shards"]):
+    for index in range(read_config(folder).shards):
         path = shard_path(folder, index)
         if is_held_out(index) != held_out or not path.exists():
             continue

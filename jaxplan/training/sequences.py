@@ -19,7 +19,7 @@ from jaxplan.search.knots import MAX_WAYPOINTS, KnotConfig, select_route
 from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes
 from jaxplan.spline import FlatState
-from jaxplan.training.labels import Queries
+from jaxplan.training.labels import Queries, sped_up
 from jaxplan.world.obstacles import World
 
 PADDING = 0.5
@@ -120,9 +120,8 @@ def in_flight(found: Queries, state: FlatState, rng: np.random.Generator) -> Que
     alpha = np.where(
         rng.random(lanes) < 0.4, 1.0, np.exp(rng.uniform(math.log(SPEED_UP[0]), math.log(SPEED_UP[1]), lanes))
     )
-    powers = alpha ** np.arange(1, 5)[:, None]
-    yaw = state.yaw[:, None] * np.stack([np.ones(lanes), alpha, alpha**2])
-    return found._replace(derivatives=state.derivatives[1:, :, None] * powers[:, None], yaw=yaw)
+    derivatives = np.repeat(state.derivatives[1:, :, None], lanes, axis=-1)
+    return sped_up(found._replace(derivatives=derivatives, yaw=np.repeat(state.yaw[:, None], lanes, axis=-1)), alpha)
 
 
 def join(parts: list[Queries]) -> Queries:

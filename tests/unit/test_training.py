@@ -12,6 +12,7 @@ from jaxplan.errors import FileError, InputError
 from jaxplan.policy.network import NetworkConfig
 from jaxplan.spline import FlatState
 from jaxplan.training.dataset import (
+    DatasetConfig,
     Shard,
     build_flights,
     build_labels,
@@ -20,7 +21,7 @@ from jaxplan.training.dataset import (
     shard_path,
     write_shard,
 )
-from jaxplan.training.labels import LabelConfig, least_rotor_margin, queries_at_rest, rollout_slowdown
+from jaxplan.training.labels import LabelConfig, Queries, least_rotor_margin, rollout_slowdown
 from jaxplan.training.pretrain import PretrainConfig, load_examples, pretrain, start_training
 from jaxplan.training.sequences import SPEED_UP, free_queries, in_flight, join, open_room, rest_queries, take
 from jaxplan.training.worlds import SIZES, random_world
@@ -86,7 +87,7 @@ def made_up_shard(seed, lanes=256):
 def data(tmp_path):
     folder = tmp_path / "data"
     folder.mkdir()
-    (folder / "dataset.json").write_text(json.dumps({"config": {"shards": 8}}))
+    (folder / "dataset.json").write_text(json.dumps({"config": dataclasses.asdict(DatasetConfig(shards=8))}))
     for index in range(8):
         write_shard(shard_path(folder, index), made_up_shard(index))
     return folder
@@ -187,6 +188,6 @@ def test_slower_sequences_need_longer():
     label = build_labels(vehicle, config)
     points = np.zeros((14, 3, 64))
     points[1:, 0] = np.linspace(0.5, 20.0, 64)
-    durations, feasible = label(queries_at_rest(points, np.full(64, 2)))
+    durations, feasible = label(Queries(points, np.full(64, 2), np.zeros((4, 3, 64)), np.zeros((3, 64))))
     assert feasible.all()
     assert (np.diff(durations.sum(axis=0)) > 0.0).all()
