@@ -3,7 +3,6 @@
 import dataclasses
 from math import comb
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
@@ -12,9 +11,8 @@ from jaxplan.errors import InputError
 from jaxplan.minsnap.batch import SplineBatch
 from jaxplan.numerics import safe_norm
 from jaxplan.records import record
-from jaxplan.spline import FlatState
 from jaxplan.status import Reason, bit
-from jaxplan.vehicle.limits import rotor_limit_margin
+from jaxplan.vehicle.limits import least_rotor_margin
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.clearance import clearance, wall_clearance
 from jaxplan.world.obstacles import World
@@ -30,6 +28,8 @@ class CheckConfig:
     """Clearance [m] beyond the vehicle's own radius, for the tracking error."""
     samples_per_segment: int = 16
     """Pieces into which the clearance check cuts a segment; more pieces give a tighter bound."""
+    instants: int = 128
+    """Instants of a trajectory, evenly spread over its duration, at which the rotors are looked at."""
 
     def __post_init__(self) -> None:
         if not self.max_deviation > 0.0:
@@ -38,6 +38,8 @@ class CheckConfig:
             raise InputError(f"checks: tracking_margin is {self.tracking_margin} m, want 0 or more")
         if not 2 <= self.samples_per_segment <= 256:
             raise InputError(f"checks: samples_per_segment is {self.samples_per_segment}, want 2 to 256")
+        if not 2 <= self.instants <= 4096:
+            raise InputError(f"checks: instants is {self.instants}, want 2 to 4096")
 
 
 @record
@@ -66,7 +68,7 @@ def check(
     samples = splines.derivatives(middles)
     deviation = _deviation(samples[:, :, 0], paths)
     clear = _clearance_bound(samples, splines, count, world)
-    rotors = _rotor_margin(splines, samples, middles, vehicle)
+    rotors = least_rotor_margin(vehicle, splines.states(config.instants))
     finite = jnp.isfinite(splines.position).all(axis=(0, 1, 2)) & jnp.isfinite(splines.yaw).all(axis=(0, 1, 2))
     reasons = (
         bit(~finite, Reason.NONFINITE)
@@ -128,14 +130,3 @@ def _second_derivative_control_points(coefficients: int) -> np.ndarray:
         for power in range(point + 1):
             table[point, power + 2] = (power + 2) * (power + 1) * comb(point, power) / comb(degree, power)
     return table
-
-
-def _rotor_margin(
-    splines: SplineBatch, samples: Float[Array, "m s 5 3 k"], middles: np.ndarray, vehicle: Vehicle
-) -> Float[Array, "k"]:
-    """Worst rotor margin over every second sample of each trajectory."""
-    state = FlatState(derivatives=samples[:, ::2], yaw=splines.yaw_derivatives(middles[::2]))
-    one = jax.vmap(lambda state: rotor_limit_margin(vehicle, state), in_axes=-1, out_axes=-1)
-    margins = jax.vmap(jax.vmap(one))(state)
-    real = jnp.broadcast_to((splines.durations > 0.0)[:, None], margins.shape)
-    return jnp.min(jnp.where(real, margins, jnp.inf), axis=(0, 1))

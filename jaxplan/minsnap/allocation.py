@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from jaxplan.errors import InputError
-from jaxplan.minsnap.minimum_time import Margin, sampled_margins, shortest_alternated
+from jaxplan.minsnap.minimum_time import Margin, least_margin, shortest_alternated
 from jaxplan.minsnap.problem import YAW_ORDER
 from jaxplan.minsnap.quasi_newton import minimise
 from jaxplan.minsnap.solve import REST, Ends, gradient, knot_derivatives, problem
@@ -37,8 +37,8 @@ class TimeAllocationConfig:
     """Relative decrease of the cost that is no longer worth an evaluation."""
     max_evaluations: int = 60
     """Evaluations of cost and gradient at most, for each optimisation."""
-    samples_per_segment: int = 16
-    """Instants of each segment at which the limits are tested (minimum time only)."""
+    instants: int = 256
+    """Instants, evenly spread over the trajectory, at which the limits are tested (minimum time only)."""
     rounds: int = 2
     """Alternations of ratios and total time (minimum time only)."""
     bisections: int = 12
@@ -49,7 +49,7 @@ class TimeAllocationConfig:
     def __post_init__(self) -> None:
         if not self.tolerance > 0.0:
             raise InputError(f"time_allocation: tolerance is {self.tolerance}, want a positive number")
-        for name in ("max_evaluations", "samples_per_segment", "rounds", "bisections"):
+        for name in ("max_evaluations", "instants", "rounds", "bisections"):
             if not getattr(self, name) >= 1:
                 raise InputError(f"time_allocation: {name} is {getattr(self, name)}, want 1 or more")
         if not self.yaw_weight >= 0.0:
@@ -141,10 +141,10 @@ def allocate(
     late = ~(decrement <= 10.0 * config.tolerance)
     if kind == "fastest":
         assert margin is not None
-        margins = functools.partial(sampled_margins, margin, points, start, yaw, samples=config.samples_per_segment)
+        least = functools.partial(least_margin, margin, points, start, yaw, instants=config.instants)
         reshare = functools.partial(_fixed, smoothness, real=real, config=config)
         durations, feasible = shortest_alternated(
-            margins, lambda best, total: reshare(best, total=total)[0], durations, config.rounds, config.bisections
+            least, lambda best, total: reshare(best, total=total)[0], durations, config.rounds, config.bisections
         )
         value = jnp.sum(durations, axis=0)
         status |= flag(~feasible & ~skip, SolveStatus.INFEASIBLE)

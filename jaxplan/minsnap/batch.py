@@ -33,6 +33,15 @@ class SplineBatch:
             yaw=np.asarray(self.yaw)[real][:, :, 0, index],
         )
 
+    def states(self, count: int) -> FlatState:
+        """Flat states (count, 5, 3, k) at instants evenly spread over each spline's own duration, ends included."""
+
+        def one(durations: Array, position: Array, yaw: Array) -> FlatState:
+            spline = PiecewisePolynomial(durations=durations, position=position, yaw=yaw[:, :, 0])
+            return spline.state(jnp.linspace(0.0, 1.0, count, dtype=durations.dtype) * spline.duration)
+
+        return jax.vmap(one, in_axes=-1, out_axes=-1)(self.durations, self.position, self.yaw)
+
     def derivatives(self, s: np.ndarray) -> Float[Array, "m s 5 3 k"]:
         """Position to snap at the normalised times ``s`` of every segment; derivatives are 0 on padding."""
         segments, width, axes, lanes = self.position.shape

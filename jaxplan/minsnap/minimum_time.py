@@ -17,32 +17,30 @@ from jaxplan.spline import FlatState
 
 Margin = Callable[[FlatState], Float[Array, ""]]
 """How far one flat state is from the vehicle's limits: positive inside (``vehicle.limits.rotor_limit_margin``)."""
-Margins = Callable[[Float[Array, "m b"]], Float[Array, "m s b"]]
-"""The margins of the best trajectory for given durations, at the sampled instants of each segment; inf on padding."""
+LeastMargin = Callable[[Float[Array, "m b"]], Float[Array, "b"]]
+"""The least margin of the best trajectory for given durations, over its sampled instants."""
 
 
-def sampled_margins(
+def least_margin(
     margin: Margin,
     points: Float[Array, "m+1 3 b"],
     initial: Float[Array, "4 3 b"],
     yaw: Float[Array, "m+1 b"] | None,
     durations: Float[Array, "m b"],
-    samples: int,
-) -> Float[Array, "m s b"]:
-    """``margin`` at ``samples`` + 1 instants of every segment of the minimum-snap trajectory; inf on padding."""
+    instants: int,
+) -> Float[Array, "b"]:
+    """The least ``margin`` at instants evenly spread over each minimum-snap trajectory."""
     position, _ = interpolate(durations, points, initial)
     heading = jnp.zeros((len(durations), 6, 1, durations.shape[-1]), durations.dtype)
     if yaw is not None:
         heading, _ = interpolate(durations, yaw[:, None], jnp.zeros((YAW_ORDER, 1, yaw.shape[-1]), yaw.dtype))
-    splines = SplineBatch(durations=durations, position=position, yaw=heading)
-    instants = np.linspace(0.0, 1.0, samples + 1)
-    state = FlatState(derivatives=splines.derivatives(instants), yaw=splines.yaw_derivatives(instants))
+    states = SplineBatch(durations=durations, position=position, yaw=heading).states(instants)
     one = jax.vmap(margin, in_axes=-1, out_axes=-1)
-    return jnp.where((durations > 0.0)[:, None], jax.vmap(jax.vmap(one))(state), jnp.inf)
+    return jnp.min(jax.vmap(one)(states), axis=0)
 
 
 def shortest_alternated(
-    margins: Margins,
+    least: LeastMargin,
     reshare: Callable[[Float[Array, "m b"], Float[Array, "b"]], Float[Array, "m b"]],
     durations: Float[Array, "m b"],
     rounds: int,
@@ -52,17 +50,17 @@ def shortest_alternated(
 
     ``reshare`` distributes a total time best, from given durations; it alternates with the search for the total time.
     """
-    best, feasible = _shortest(margins, durations, bisections)
+    best, feasible = _shortest(least, durations, bisections)
     for _ in range(rounds - 1):
         total = jnp.where(feasible, jnp.sum(best, axis=0), jnp.sum(durations, axis=0))
-        shorter, found = _shortest(margins, reshare(best, total), bisections)
+        shorter, found = _shortest(least, reshare(best, total), bisections)
         better = found & ~(feasible & (jnp.sum(best, axis=0) <= jnp.sum(shorter, axis=0)))
         best, feasible = jnp.where(better, shorter, best), feasible | found
     return best, feasible
 
 
 def _shortest(
-    margins: Margins, durations: Float[Array, "m b"], bisections: int
+    least: LeastMargin, durations: Float[Array, "m b"], bisections: int
 ) -> tuple[Float[Array, "m b"], Bool[Array, "b"]]:
     """The least feasible multiple of ``durations``: a grid of factors, then bisection below its first success.
 
@@ -70,7 +68,7 @@ def _shortest(
     """
 
     def inside(durations: Float[Array, "m b"]) -> Bool[Array, "b"]:
-        return jnp.min(margins(durations), axis=(0, 1)) >= 0.0
+        return least(durations) >= 0.0
 
     factors = jnp.asarray(1.25 ** np.arange(-12.0, 13.0), durations.dtype)
     passed = jax.lax.map(lambda factor: inside(factor * durations), factors)

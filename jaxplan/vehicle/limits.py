@@ -35,6 +35,12 @@ def rotor_limit_margin(vehicle: Vehicle, state: FlatState) -> Float[Array, ""]:
     return jnp.where(finite, margin, -jnp.inf)
 
 
+def least_rotor_margin(vehicle: Vehicle, states: FlatState) -> Float[Array, "k"]:
+    """The least ``rotor_limit_margin`` [rad/s] of k flights over their s sampled states, (s, 5, 3, k) and (s, 3, k)."""
+    one = jax.vmap(lambda state: rotor_limit_margin(vehicle, state), in_axes=-1, out_axes=-1)
+    return jnp.min(jax.vmap(one)(states), axis=0)
+
+
 @in_float64
 def rotor_feasibility(vehicle: Vehicle, spline: PiecewisePolynomial, pieces: int = 64) -> Feasibility:
     """Whether the rotors can fly ``spline``, between samples too (host; each segment is cut into ``pieces``)."""
