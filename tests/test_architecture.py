@@ -15,10 +15,10 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "jaxplan"
 
 LAYERS = [
-    {"records", "status", "errors", "numerics", "versions", "config", "compilation"},
+    {"records", "status", "errors", "numerics", "versions", "config", "compilation", "weights"},
     {"spline"},
     {"minsnap", "vehicle", "world"},
-    {"prediction", "search", "policy", "arrival", "selection", "tracking"},
+    {"prediction", "search", "policy", "arrival", "selection", "tracking", "feasibility"},
     {"planner"},
     {"viz", "io", "interception", "replanner", "metrics", "training"},
     {"cli", "experiments", "benchmarks", "jaxplan"},
@@ -28,6 +28,7 @@ LAYERS = [
 SIBLINGS = {
     ("config", "errors"),
     ("versions", "errors"),
+    ("weights", "errors"),
     ("interception", "io"),
     ("interception", "replanner"),
     ("metrics", "interception"),
@@ -44,7 +45,7 @@ TYPES_ONLY = {
 
 OWNERS = {
     "mujoco": ("jaxplan/tracking/", "benchmarks/", "jaxplan/world/scene.py", "jaxplan/world/mjcf.py", "jaxplan/viz/"),
-    "flax": ("jaxplan/policy/", "jaxplan/training/"),
+    "flax": ("jaxplan/policy/", "jaxplan/feasibility/", "jaxplan/training/"),
     "optax": ("jaxplan/training/",),
     "sklearn": ("jaxplan/prediction/gmm.py",),
     "numba": ("jaxplan/search/",),

@@ -96,7 +96,8 @@ def _headings(
     def turn(yaw: Float[Array, "k"], knot: tuple) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
         velocity, duration = knot
         moving = velocity[0] ** 2 + velocity[1] ** 2 > SLOWEST_HEADING**2
-        wanted = wrap_angle(jnp.where(moving, jnp.arctan2(velocity[1], velocity[0]) - yaw, 0.0))
+        x, y = jnp.where(moving, velocity[0], 1.0), jnp.where(moving, velocity[1], 0.0)  # arctan2(0, 0) has no gradient
+        wanted = wrap_angle(jnp.where(moving, jnp.arctan2(y, x) - yaw, 0.0))
         following = yaw + jnp.clip(wanted, -max_rate * duration, max_rate * duration)
         return following, following
 

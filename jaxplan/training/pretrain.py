@@ -8,7 +8,7 @@ best weights so far.
 import dataclasses
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from flax import serialization
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxplan.errors import FileError, InputError
 from jaxplan.policy.features import SEGMENT_FEATURES, STATE_FEATURES
@@ -25,10 +25,7 @@ from jaxplan.policy.network import Bottleneck, NetworkConfig, PolicyNetwork
 from jaxplan.policy.neural import allocate_times, read_sequences
 from jaxplan.search.knots import MAX_WAYPOINTS
 from jaxplan.spline import FlatState
-from jaxplan.training.dataset import is_held_out, read_config, read_shard, shard_path
-
-SHORT = 7
-"""Sequences of up to this many waypoints train in batches of their own, at half the cost."""
+from jaxplan.training.examples import Examples, batches, lanes_of, load_examples
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,15 +56,6 @@ class PretrainConfig:
             raise InputError(f"pretrain: learning_rate is {self.learning_rate}, want a positive number")
 
 
-class Examples(NamedTuple):
-    """Labelled sequences, batch axis last."""
-
-    waypoints: Float[Array, "n 3 b"]
-    count: Int[Array, "b"]
-    initial: FlatState
-    durations: Float[Array, "m b"]
-
-
 class State(NamedTuple):
     """All that a training run changes."""
 
@@ -86,26 +74,6 @@ class Error(NamedTuple):
     """Mean of its magnitude."""
     overall: float
     """Mean magnitude over all lengths, each counted alike."""
-
-
-def load_examples(folder: Path, *, held_out: bool) -> Examples:
-    """The labelled sequences of a dataset's training or held-out shards."""
-    parts = []
-    for index in range(read_config(folder).shards):
-        path = shard_path(folder, index)
-        if is_held_out(index) != held_out or not path.exists():
-            continue
-        shard = read_shard(path)
-        good = shard.feasible & (shard.durations.sum(axis=0) > 0.0) & (shard.slowdown != np.inf)
-        slowdown = np.where(np.isfinite(shard.slowdown), shard.slowdown, 1.0)
-        waypoints = shard.queries.waypoints - shard.queries.waypoints[:1]
-        derivatives = np.concatenate([np.zeros_like(shard.queries.derivatives[:1]), shard.queries.derivatives])
-        state = FlatState(derivatives=derivatives, yaw=shard.queries.yaw)
-        example = Examples(waypoints, shard.queries.count, state, shard.durations * slowdown)
-        parts.append(_lanes(example, good))
-    if not parts:
-        raise FileError(f"{folder}: has no {'held-out' if held_out else 'training'} shards; make more")
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1), *parts)
 
 
 def start_training(config: PretrainConfig) -> State:
@@ -162,7 +130,7 @@ def pretrain(
     state, best, stale = _resume(folder, config)
     advance = build_step(config)
     measure = build_measure(config)
-    for batch, key in batches(training, config, int(state.step)):
+    for batch, key in batches(training, config.batch, config.seed, range(int(state.step), config.steps)):
         state, loss = advance(state, batch, key)
         step = int(state.step) if int(state.step) % config.evaluate_every == 0 else 0
         if not step:
@@ -183,20 +151,6 @@ def pretrain(
     return state._replace(averaged=averaged), measure(averaged, held_out)
 
 
-def batches(examples: Examples, config: PretrainConfig, done: int) -> Iterator[tuple[Examples, PRNGKeyArray]]:
-    """Random batches, step by step from ``done``; the batch of a step depends on the seed and the step alone."""
-    groups = [np.flatnonzero(examples.count <= SHORT), np.flatnonzero(examples.count > SHORT)]
-    chances = [_chances(examples.count[group]) for group in groups]
-    for step in range(done, config.steps):
-        rng = np.random.default_rng([config.seed, step])
-        which = int(rng.random() < 0.5 and len(groups[1]) > 0) if len(groups[0]) else 1
-        lanes = groups[which][np.searchsorted(chances[which], rng.random(config.batch))]
-        segments = (SHORT if which == 0 else MAX_WAYPOINTS) - 1
-        batch = _lanes(examples, lanes)
-        batch = batch._replace(waypoints=batch.waypoints[: segments + 1], durations=batch.durations[:segments])
-        yield batch, jax.random.fold_in(jax.random.key(config.seed), step)
-
-
 def build_measure(config: PretrainConfig) -> Callable[[Any, Examples], Error]:
     """Errors of the total times, with the latent's mean."""
     network = PolicyNetwork(config.network)
@@ -209,7 +163,7 @@ def build_measure(config: PretrainConfig) -> Callable[[Any, Examples], Error]:
     def measure(parameters: Any, examples: Examples) -> Error:
         size = len(examples.count)
         found = [
-            np.asarray(totals(parameters, _lanes(examples, lanes)))
+            np.asarray(totals(parameters, lanes_of(examples, lanes)))
             for lanes in np.array_split(np.resize(np.arange(size), -(-size // 4096) * 4096), -(-size // 4096))
         ]
         relative = np.concatenate(found)[:size] / examples.durations.sum(axis=0) - 1.0
@@ -250,22 +204,12 @@ def _write(path: Path, content: bytes) -> None:
     os.replace(temporary, path)
 
 
-def _chances(counts: Int[np.ndarray, "b"]) -> Float[np.ndarray, "b"]:
-    """Cumulative chances of being drawn: rare lengths more often, by the square root of their rarity."""
-    weights = 1.0 / np.sqrt(np.bincount(counts, minlength=MAX_WAYPOINTS + 1))[counts]
-    return np.cumsum(weights) / weights.sum()
-
-
 def _mirrored(batch: Examples, key: PRNGKeyArray) -> Examples:
     """Half of the batch reflected in a vertical plane: a quadrotor flies left as it flies right."""
     side = jnp.where(jax.random.bernoulli(key, 0.5, batch.count.shape), 1.0, -1.0).astype(batch.waypoints.dtype)
     flip = jnp.stack([jnp.ones_like(side), side, jnp.ones_like(side)])
     state = FlatState(derivatives=batch.initial.derivatives * flip, yaw=batch.initial.yaw * side)
     return batch._replace(waypoints=batch.waypoints * flip, initial=state)
-
-
-def _lanes(examples: Examples, lanes: np.ndarray) -> Examples:
-    return jax.tree.map(lambda leaf: leaf[..., lanes], examples)
 
 
 def _divergence(bottleneck: Bottleneck) -> Float[Array, "k"]:

@@ -21,8 +21,9 @@ from jaxplan.training.dataset import (
     shard_path,
     write_shard,
 )
+from jaxplan.training.examples import load_examples
 from jaxplan.training.labels import LabelConfig, Queries, rollout_slowdown
-from jaxplan.training.pretrain import PretrainConfig, load_examples, pretrain, start_training
+from jaxplan.training.pretrain import PretrainConfig, pretrain, start_training
 from jaxplan.training.sequences import SPEED_UP, free_queries, in_flight, join, open_room, rest_queries, take
 from jaxplan.training.worlds import SIZES, random_world
 from jaxplan.vehicle.limits import least_rotor_margin

@@ -1,0 +1,1 @@
+"""Which trajectories the vehicle can follow: a learned, two-fidelity classifier."""

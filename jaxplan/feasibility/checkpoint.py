@@ -1,0 +1,67 @@
+"""A classifier as one file (``jaxplan.weights``), and whether it still gives the probabilities that it gave."""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxplan.errors import FileError
+from jaxplan.feasibility.classifier import Classifier, Model, make_classifier, new_model
+from jaxplan.feasibility.features import INSTANTS, MOTION_FEATURES, FeatureConfig
+from jaxplan.weights import read_weights, resolve_weights, restore, write_weights
+
+KIND = "classifier"
+GOLDEN_TOLERANCE = 1e-2
+"""Largest deviation of the golden probabilities."""
+WEIGHTS = Path(__file__).parent / "weights"
+
+
+def save_classifier(path: Path, config: FeatureConfig, model: Model, card: dict[str, Any]) -> None:
+    """Write a model with its ``card``: how it was made and how it scores."""
+    header = {
+        "features": {"width": config.width, "latent": config.latent},
+        "inducing": len(model.low.inducing),
+        "golden": _golden(make_classifier(config, model)).tolist(),
+        "card": card,
+    }
+    write_weights(path, KIND, header, model)
+
+
+def load_classifier(source: str | Path) -> Classifier:
+    """The classifier in a file, or a shipped one by name (``rollout``).
+
+    Raises:
+        FileError: no such file or name; damaged; of another format; a model that does not give the golden
+            probabilities.
+    """
+    return make_classifier(*load_model(source))
+
+
+def load_model(source: str | Path) -> tuple[FeatureConfig, Model]:
+    """Sizes and model, to go on training from; checked as by ``load_classifier``."""
+    path, _ = resolve_weights(source, WEIGHTS, KIND)
+    header, arrays = read_weights(path, KIND)
+    try:
+        config, inducing = FeatureConfig(**header["features"]), int(header["inducing"])
+        golden = np.asarray(header["golden"], float)
+    except (KeyError, TypeError, ValueError) as error:
+        raise FileError(f"{path}: its header is not a classifier's ({error}); use a file of jaxplan") from error
+    model = jax.tree.map(jnp.asarray, restore(new_model(config, inducing, 0), arrays))
+    found = _golden(make_classifier(config, model))
+    if found.shape != golden.shape or not np.allclose(found, golden, rtol=0.0, atol=GOLDEN_TOLERANCE):
+        raise FileError(f"{path}: the model does not give the probabilities that it gave when it was saved")
+    return config, model
+
+
+def classifier_card(source: str | Path) -> dict[str, Any]:
+    """How a classifier was made and how it scored."""
+    return read_weights(resolve_weights(source, WEIGHTS, KIND)[0], KIND)[0]["card"]
+
+
+def _golden(classifier: Classifier) -> Float[np.ndarray, "k"]:
+    """Probabilities for eight fixed motions."""
+    motion = np.random.default_rng(7).normal(size=(8, INSTANTS, MOTION_FEATURES)).astype(np.float32)
+    return np.asarray(classifier.judge(jnp.asarray(motion)).probability, float)

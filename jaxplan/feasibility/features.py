@@ -1,0 +1,87 @@
+"""What decides whether the vehicle can follow a trajectory, and the network that condenses it.
+
+A trajectory (waypoints, initial state and times give it) is looked at at instants evenly spread over its duration. What
+is taken there does not change when it is moved or turned about the vertical: thrust, tilt, and how fast thrust, speed
+and heading change.
+"""
+
+import dataclasses
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxplan.errors import InputError
+from jaxplan.minsnap.batch import SplineBatch
+from jaxplan.numerics import safe_norm
+
+INSTANTS = 32
+MOTION_FEATURES = 11
+GRAVITY = 9.81
+LEAST_THRUST = 0.5
+"""Specific thrust [m/s^2] below which its direction counts as changing no faster (arbitrary)."""
+
+
+@jax.tree_util.register_static
+@dataclasses.dataclass(frozen=True)
+class FeatureConfig:
+    """Sizes of the feature network."""
+
+    width: int = 32
+    latent: int = 12
+    """Dimensions of the feature z."""
+
+    def __post_init__(self) -> None:
+        for name in ("width", "latent"):
+            if not 1 <= getattr(self, name) <= 1024:
+                raise InputError(f"features: {name} is {getattr(self, name)}, want 1 to 1024")
+
+
+def motion_features(splines: SplineBatch) -> Float[Array, "k p f"]:
+    """Features of ``INSTANTS`` instants of each of k trajectories, compressed to the order of 1 (float32)."""
+    states = splines.states(INSTANTS)
+    velocity, acceleration, jerk, snap = (jnp.moveaxis(states.derivatives[:, n], -1, 0) for n in range(1, 5))
+    yaw_rate, yaw_acceleration = states.yaw[:, 1].T, states.yaw[:, 2].T
+    force = acceleration + jnp.array([0.0, 0.0, GRAVITY], acceleration.dtype)
+    thrust = safe_norm(force)
+    up = force / jnp.maximum(thrust, LEAST_THRUST)[..., None]
+    climb, along, along_snap = (jnp.sum(vector * up, axis=-1) for vector in (velocity, jerk, snap))
+    turning = safe_norm(jerk - along[..., None] * up) / jnp.maximum(thrust, LEAST_THRUST)
+    twisting = safe_norm(snap - along_snap[..., None] * up) / jnp.maximum(thrust, LEAST_THRUST)
+    total = jnp.sum(splines.durations, axis=0)[:, None]
+    features = [
+        jnp.log((thrust + 0.1) / GRAVITY),
+        up[..., 2],
+        jnp.arcsinh(0.5 * safe_norm(velocity)),
+        jnp.arcsinh(0.5 * climb),
+        jnp.arcsinh(0.1 * along),
+        jnp.arcsinh(turning),
+        jnp.arcsinh(0.1 * twisting),
+        jnp.arcsinh(0.02 * along_snap),
+        jnp.arcsinh(yaw_rate),
+        jnp.arcsinh(0.3 * yaw_acceleration),
+        jnp.log(jnp.maximum(total, 1e-3)) * jnp.ones_like(thrust),
+    ]
+    return jnp.stack(features, axis=-1).astype(jnp.float32)
+
+
+class FeatureNetwork(nn.Module):
+    """Each instant with its neighbours, twice; then the largest and the mean over all of them."""
+
+    config: FeatureConfig
+
+    @nn.compact
+    def __call__(self, motion: Float[Array, "k p f"]) -> Float[Array, "k z"]:
+        seen = nn.relu(nn.Dense(self.config.width)(_with_neighbours(motion)))
+        seen = nn.relu(nn.Dense(self.config.width)(_with_neighbours(seen)))
+        whole = jnp.concatenate([jnp.max(seen, axis=1), jnp.mean(seen, axis=1), motion[:, 0, -1:]], axis=1)
+        whole = nn.relu(nn.Dense(self.config.width)(whole))
+        found = nn.Dense(self.config.latent)(whole)
+        return 3.0 * found / (1.0 + jnp.abs(found))
+
+
+def _with_neighbours(x: Float[Array, "k p f"]) -> Float[Array, "k p 3f"]:
+    before = jnp.concatenate([x[:, :1], x[:, :-1]], axis=1)
+    after = jnp.concatenate([x[:, 1:], x[:, -1:]], axis=1)
+    return jnp.concatenate([before, x, after], axis=-1)

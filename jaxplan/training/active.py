@@ -1,0 +1,122 @@
+"""Labels of both fidelities for a policy's flights, spent where the classifier is least sure.
+
+The variation ratio 1 - max(P, 1 - P) is largest where P is 1/2 (MFRL, Sec. III). Labels are kept and replayed; the two
+classes stay of one size because flights are tried from too fast to comfortably slow.
+"""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxplan.errors import FileError
+from jaxplan.feasibility.classifier import Classifier
+from jaxplan.feasibility.features import motion_features
+from jaxplan.minsnap.batch import SplineBatch
+from jaxplan.numerics import in_float64
+from jaxplan.tracking.track import track
+from jaxplan.training.classifier import Labelled
+from jaxplan.training.dataset import build_flights
+from jaxplan.training.examples import Examples, lanes_of
+from jaxplan.training.labels import LabelConfig, Queries
+from jaxplan.vehicle.limits import least_rotor_margin
+from jaxplan.vehicle.params import Vehicle
+
+LANES = 512
+"""Flights that are solved together."""
+
+
+class Flights(NamedTuple):
+    """Solved flights and what the classifier sees of them."""
+
+    splines: SplineBatch
+    motion: Float[np.ndarray, "n p f"]
+    within_limits: Bool[np.ndarray, "n"]
+    """The low fidelity's label, which costs next to nothing."""
+
+
+Solve = Callable[[Examples, Float[np.ndarray, "m n"]], Flights]
+
+
+def build_solve(vehicle: Vehicle, labels: LabelConfig) -> Solve:
+    """Flights of given durations, ``LANES`` at a time."""
+    fly = build_flights(labels)
+    look = in_float64(
+        jax.jit(lambda s: (motion_features(s), least_rotor_margin(vehicle, s.states(labels.instants)) >= 0.0))
+    )
+
+    def solve(examples: Examples, durations: Float[np.ndarray, "m n"]) -> Flights:
+        size, parts = durations.shape[-1], []
+        for begin in range(0, size, LANES):
+            lanes = np.minimum(np.arange(begin, begin + LANES), size - 1)
+            splines = fly(as_queries(lanes_of(examples, lanes)), durations[:, lanes])
+            motion, within = (np.asarray(leaf) for leaf in look(splines))
+            parts.append((splines, np.moveaxis(motion, 0, -1), within))
+        joined = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1)[..., :size], *parts)
+        return Flights(joined[0], np.moveaxis(joined[1], -1, 0), joined[2])
+
+    return solve
+
+
+def as_queries(examples: Examples) -> Queries:
+    """The same sequences for the label's functions."""
+    state = examples.initial
+    return Queries(examples.waypoints, examples.count, state.derivatives[1:], state.yaw)
+
+
+def perturbed(
+    durations: Float[np.ndarray, "m n"], span: tuple[float, float], noise: float, rng: np.random.Generator
+) -> Float[np.ndarray, "m n"]:
+    """Durations with noise on each logarithm, and all of a flight's together by a factor within ``span``."""
+    factor = np.exp(rng.uniform(math.log(span[0]), math.log(span[1]), durations.shape[-1]))
+    return durations * factor * np.exp(noise * rng.normal(size=durations.shape))
+
+
+def roll_out(flights: Flights, lanes: Int[np.ndarray, "n"], vehicle: Vehicle, seed: int) -> Bool[np.ndarray, "n"]:
+    """The high fidelity's labels of some of the flights."""
+    some = jax.tree.map(lambda leaf: np.asarray(leaf)[..., lanes], flights.splines)
+    indices = seed * 1_000_000 + np.arange(len(lanes))
+    return np.asarray(track(some, vehicle=vehicle, indices=indices % 2**31).feasible)
+
+
+def least_certain(probability: Float[np.ndarray, "n"], count: int) -> Int[np.ndarray, "c"]:
+    """The flights of the largest variation ratio."""
+    ratio = 1.0 - np.maximum(probability, 1.0 - probability)
+    return np.argsort(-ratio, kind="stable")[:count]
+
+
+def judged(classifier: Classifier, motion: Float[np.ndarray, "n p f"]) -> Float[np.ndarray, "n"]:
+    """Probabilities of many flights (host)."""
+    size = len(motion)
+    filled = np.resize(np.arange(size), -(-size // LANES) * LANES)
+    parts = [_judge(classifier, jnp.asarray(motion[lanes])) for lanes in np.split(filled, len(filled) // LANES)]
+    return np.concatenate([np.asarray(part) for part in parts])[:size]
+
+
+_judge = jax.jit(lambda classifier, motion: classifier.judge(motion).probability)
+
+
+def save_labels(path: Path, low: Labelled, high: Labelled) -> None:
+    """One round's labels."""
+    temporary = path.with_suffix(".part")
+    with temporary.open("wb") as file:
+        np.savez(file, low_motion=low.motion, low=low.feasible, high_motion=high.motion, high=high.feasible)
+    temporary.replace(path)
+
+
+def load_labels(paths: list[Path]) -> tuple[Labelled, Labelled]:
+    """All rounds' labels of both fidelities."""
+    rounds = []
+    for path in paths:
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                rounds.append({name: data[name] for name in ("low_motion", "low", "high_motion", "high")})
+        except (OSError, KeyError, ValueError) as error:
+            raise FileError(f"{path}: is not a round of labels ({error}); remove it to make it again") from error
+    joined = {name: np.concatenate([part[name] for part in rounds]) for name in rounds[0]}
+    return Labelled(joined["low_motion"], joined["low"]), Labelled(joined["high_motion"], joined["high"])

@@ -1,0 +1,71 @@
+"""Labelled sequences of a dataset in memory, and batches of them."""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from jaxplan.errors import FileError
+from jaxplan.search.knots import MAX_WAYPOINTS
+from jaxplan.spline import FlatState
+from jaxplan.training.dataset import is_held_out, read_config, read_shard, shard_path
+
+SHORT = 7
+"""Sequences of up to this many waypoints train in batches of their own, at half the cost."""
+
+
+class Examples(NamedTuple):
+    """Labelled sequences, batch axis last."""
+
+    waypoints: Float[Array, "n 3 b"]
+    count: Int[Array, "b"]
+    initial: FlatState
+    durations: Float[Array, "m b"]
+
+
+def load_examples(folder: Path, *, held_out: bool) -> Examples:
+    """The labelled sequences of a dataset's training or held-out shards."""
+    parts = []
+    for index in range(read_config(folder).shards):
+        path = shard_path(folder, index)
+        if is_held_out(index) != held_out or not path.exists():
+            continue
+        shard = read_shard(path)
+        good = shard.feasible & (shard.durations.sum(axis=0) > 0.0) & (shard.slowdown != np.inf)
+        slowdown = np.where(np.isfinite(shard.slowdown), shard.slowdown, 1.0)
+        waypoints = shard.queries.waypoints - shard.queries.waypoints[:1]
+        derivatives = np.concatenate([np.zeros_like(shard.queries.derivatives[:1]), shard.queries.derivatives])
+        state = FlatState(derivatives=derivatives, yaw=shard.queries.yaw)
+        example = Examples(waypoints, shard.queries.count, state, shard.durations * slowdown)
+        parts.append(lanes_of(example, good))
+    if not parts:
+        raise FileError(f"{folder}: has no {'held-out' if held_out else 'training'} shards; make more")
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1), *parts)
+
+
+def batches(examples: Examples, size: int, seed: int, steps: Iterable[int]) -> Iterator[tuple[Examples, PRNGKeyArray]]:
+    """Random batches of ``size``; the batch of a step depends on the seed and the step alone."""
+    groups = [np.flatnonzero(examples.count <= SHORT), np.flatnonzero(examples.count > SHORT)]
+    chances = [_chances(examples.count[group]) for group in groups]
+    for step in steps:
+        rng = np.random.default_rng([seed, step])
+        which = int(rng.random() < 0.5 and len(groups[1]) > 0) if len(groups[0]) else 1
+        lanes = groups[which][np.searchsorted(chances[which], rng.random(size))]
+        segments = (SHORT if which == 0 else MAX_WAYPOINTS) - 1
+        batch = lanes_of(examples, lanes)
+        batch = batch._replace(waypoints=batch.waypoints[: segments + 1], durations=batch.durations[:segments])
+        yield batch, jax.random.fold_in(jax.random.key(seed), step)
+
+
+def lanes_of(examples: Examples, lanes: np.ndarray) -> Examples:
+    """Some of the examples."""
+    return jax.tree.map(lambda leaf: leaf[..., lanes], examples)
+
+
+def _chances(counts: Int[np.ndarray, "b"]) -> Float[np.ndarray, "b"]:
+    """Cumulative chances of being drawn: rare lengths more often, by the square root of their rarity."""
+    weights = 1.0 / np.sqrt(np.bincount(counts, minlength=MAX_WAYPOINTS + 1))[counts]
+    return np.cumsum(weights) / weights.sum()

@@ -1,0 +1,200 @@
+"""Multi-fidelity reinforcement: policy and classifier in turn, from a pretrained policy (MFRL; paper, Sec. II-D).
+
+Each round flies the present policy on random sequences, spends rollouts where the classifier is least sure (and some at
+random, by which it is scored before it learns from them), trains the classifier on all labels so far, and reinforces
+the policy. A run is a folder: ``state.msgpack`` to go on from, ``labels-*.npz`` and ``metrics.jsonl``.
+"""
+
+import dataclasses
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import serialization
+from jaxtyping import Float
+
+from jaxplan.errors import FileError, InputError
+from jaxplan.feasibility.classifier import Model, make_classifier, new_model
+from jaxplan.numerics import in_float64
+from jaxplan.policy.network import NetworkConfig, PolicyNetwork
+from jaxplan.training import active
+from jaxplan.training.classifier import ClassifierConfig, Labelled, train_classifier
+from jaxplan.training.examples import Examples, batches, lanes_of
+from jaxplan.training.labels import LabelConfig
+from jaxplan.training.reinforce import Learner, ReinforceConfig, build_climb, log_durations, start_learning
+from jaxplan.training.scores import binary_scores
+from jaxplan.vehicle.params import Vehicle
+
+
+@dataclasses.dataclass(frozen=True)
+class MfrlConfig:
+    """One run."""
+
+    reinforce: ReinforceConfig = ReinforceConfig()
+    classifier: ClassifierConfig = ClassifierConfig(steps=200, learning_rate=1e-3)
+    """Steps and learning rate of every round but the first."""
+    first_steps: int = 3000
+    """Classifier's steps in the first round, at three times the learning rate."""
+    first_labels: int = 12_000
+    """Rollouts of the first round, at random."""
+    rounds: int = 40
+    pool: int = 2048
+    """Flights of which each round chooses what to label."""
+    chosen: int = 256
+    """Rollouts of each round by variation ratio."""
+    random: int = 128
+    """Rollouts of each round at random."""
+    span: tuple[float, float] = (0.8, 1.15)
+    """Factors of the policy's durations that are tried."""
+    noise: float = 0.05
+    """Standard deviation of the logarithm of each duration that is tried."""
+    steps: int = 100
+    """Gradient steps of the policy in each round."""
+    batch: int = 256
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("first_steps", "first_labels", "rounds", "pool", "steps", "batch"):
+            if getattr(self, name) < 1:
+                raise InputError(f"mfrl: {name} is {getattr(self, name)}, want 1 or more")
+        if self.chosen + self.random > self.pool or min(self.chosen, self.random) < 0:
+            raise InputError(f"mfrl: have {self.chosen} + {self.random} rollouts of a pool of {self.pool}, want fewer")
+
+
+class Run(NamedTuple):
+    """State of a run."""
+
+    learner: Learner
+    model: Model
+    done: int
+    """Rounds."""
+
+
+def reinforce(
+    folder: Path,
+    examples: Examples,
+    vehicle: Vehicle,
+    network: NetworkConfig,
+    parameters: Any,
+    config: MfrlConfig,
+    labels: LabelConfig,
+    report: Callable[[str], None] = print,
+) -> Run:
+    """Reinforce a pretrained policy; goes on where ``folder`` was left.
+
+    Args:
+        examples: training sequences with their minimum-snap labels.
+        parameters: the pretrained weights.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    run = _resume(folder, config, parameters)
+    solve = active.build_solve(vehicle, labels)
+    climb = in_float64(build_climb(network, parameters, config.reinforce))
+    durations = in_float64(jax.jit(lambda weights, some: jnp.exp(log_durations(PolicyNetwork(network), weights, some))))
+    for index in range(run.done, config.rounds):
+        row = _label(folder, index, run, examples, vehicle, solve, durations, config)
+        run = _teach(folder, index, run, config)
+        classifier = make_classifier(config.classifier.features, run.model)
+        learner, earned = run.learner, []
+        steps = range(index * config.steps, (index + 1) * config.steps)
+        for batch, key in batches(examples, config.batch, config.seed, steps):
+            learner, found = climb(learner, classifier, batch, key)
+            earned.append(found)
+        means = jax.tree.map(lambda *leaves: float(np.mean(leaves)), *earned)
+        run = Run(learner, run.model, index + 1)
+        _write(folder / "state.msgpack", serialization.to_bytes(_savable(run)))
+        row |= {"round": index + 1, **means._asdict(), "deviation": float(np.exp(learner.log_deviation))}
+        with (folder / "metrics.jsonl").open("a") as log:
+            log.write(json.dumps(row) + "\n")
+        report(
+            f"round {index + 1} of {config.rounds}: T / T_MS {means.relative_time:.3f}, P {means.probability:.3f}; "
+            f"classifier on fresh rollouts: AUC {row['auc']:.3f}, Brier {row['brier']:.3f}"
+        )
+    return run
+
+
+def _label(
+    folder: Path,
+    index: int,
+    run: Run,
+    examples: Examples,
+    vehicle: Vehicle,
+    solve: active.Solve,
+    durations: Callable[..., Float[np.ndarray, "m n"]],
+    config: MfrlConfig,
+) -> dict[str, Any]:
+    """Fly, choose, roll out and keep one round's labels; the classifier's scores on those taken at random."""
+    rng = np.random.default_rng([config.seed, index, 1])
+    first = index == 0
+    size = config.first_labels if first else config.pool
+    some = lanes_of(examples, rng.integers(len(examples.count), size=size))
+    tried = active.perturbed(_in_parts(durations, run, some), config.span, config.noise, rng)
+    flights = solve(some, np.where(some.durations > 0.0, tried, 0.0))
+    believed = active.judged(make_classifier(config.classifier.features, run.model), flights.motion)
+    unbiased = np.arange(size if first else config.random)
+    chosen = np.arange(0) if first else len(unbiased) + active.least_certain(believed[len(unbiased) :], config.chosen)
+    lanes = np.concatenate([unbiased, chosen])
+    feasible = active.roll_out(flights, lanes, vehicle, seed=config.seed + index)
+    low = Labelled(flights.motion, flights.within_limits)
+    active.save_labels(_labels_of(folder, index), low, Labelled(flights.motion[lanes], feasible))
+    scores = binary_scores(believed[unbiased], feasible[: len(unbiased)])
+    return {"tracked_at_random": float(feasible[: len(unbiased)].mean()), "rollouts": len(lanes), **scores}
+
+
+def _in_parts(durations: Callable[..., Any], run: Run, some: Examples) -> Float[np.ndarray, "m n"]:
+    """The policy's durations, in batches of one size."""
+    size = len(some.count)
+    filled = np.resize(np.arange(size), -(-size // active.LANES) * active.LANES)
+    parts = [
+        np.asarray(durations(run.learner.parameters, lanes_of(some, lanes)), float)
+        for lanes in np.split(filled, len(filled) // active.LANES)
+    ]
+    return np.concatenate(parts, axis=-1)[:, :size]
+
+
+def _teach(folder: Path, index: int, run: Run, config: MfrlConfig) -> Run:
+    """Train the classifier on all labels so far."""
+    low, high = active.load_labels([_labels_of(folder, k) for k in range(index + 1)])
+    settings = dataclasses.replace(config.classifier, seed=config.seed + index)
+    if index == 0:
+        rate = 3.0 * config.classifier.learning_rate
+        settings = dataclasses.replace(settings, steps=config.first_steps, learning_rate=rate)
+    model, _ = train_classifier(settings, low, high, None if index == 0 else run.model)
+    return run._replace(model=model)
+
+
+def _resume(folder: Path, config: MfrlConfig, parameters: Any) -> Run:
+    """The run in ``folder``, or a new one."""
+    stated, saved = folder / "config.json", folder / "state.msgpack"
+    wanted = json.loads(json.dumps(dataclasses.asdict(config)))
+    if stated.exists() and json.loads(stated.read_text()) != wanted:
+        raise FileError(f"{folder}: holds a run of another configuration; choose another folder")
+    stated.write_text(json.dumps(wanted, indent=1) + "\n")
+    model = new_model(config.classifier.features, config.classifier.inducing, config.seed)
+    fresh = Run(start_learning(parameters, config.reinforce), model, 0)
+    if not saved.exists():
+        return fresh
+    leaves = serialization.from_bytes(_savable(fresh), saved.read_bytes())
+    run = jax.tree.unflatten(jax.tree.structure(fresh), [jnp.asarray(leaves[str(k)]) for k in range(len(leaves))])
+    return run._replace(done=int(run.done))
+
+
+def _savable(run: Run) -> dict[str, Any]:
+    """Leaves by number: named tuples within the optimiser have no stable names."""
+    return {str(index): np.asarray(leaf) for index, leaf in enumerate(jax.tree.leaves(run))}
+
+
+def _labels_of(folder: Path, index: int) -> Path:
+    return folder / f"labels-{index:04d}.npz"
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Whole or not at all."""
+    temporary = path.with_suffix(".part")
+    temporary.write_bytes(content)
+    os.replace(temporary, path)

@@ -1,0 +1,208 @@
+"""Reinforcement of a policy with the feasibility classifier as its judge (paper, Sec. II-D; MFRL, Sec. III).
+
+Reward of one flight: r = (bonus + min(1 - T / T_MS, ceiling)) * P(feasible), where T_MS is the total time of the
+minimum-snap label. With bonus 0 and no ceiling it is the paper's; the predecessors add the bonus, which weighs safety
+against time. A flight is one decision, the logarithms of its durations, so there is nothing to discount.
+
+Two ways to climb it: ``ppo``, proximal policy optimisation on noisy durations with the mean reward of several tries of
+the same sequence as the baseline; ``gradient``, the reward's own gradient through classifier and minimum-snap solve.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from jaxplan.errors import InputError
+from jaxplan.feasibility.classifier import Classifier
+from jaxplan.minsnap.batch import fit_each
+from jaxplan.policy.network import NetworkConfig, PolicyNetwork
+from jaxplan.policy.neural import allocate_times, read_sequences
+from jaxplan.training.examples import Examples
+
+
+@dataclasses.dataclass(frozen=True)
+class ReinforceConfig:
+    """How a policy is reinforced."""
+
+    method: Literal["ppo", "gradient"] = "gradient"
+    bonus: float = 1.0
+    ceiling: float = float("inf")
+    """Largest gain of time that is rewarded."""
+    learning_rate: float = 1e-4
+    anchor: float = 0.01
+    """Weight of the divergence from the policy that training began with, both as normal distributions of
+    ``deviation`` about the logarithms of the durations."""
+    deviation: float = 0.1
+    """Standard deviation of the logarithms of the durations that are tried."""
+    tries: int = 4
+    """Of each sequence (ppo)."""
+    passes: int = 4
+    """Gradient steps on the same tries (ppo)."""
+    ratio: float = 0.2
+    """Change of a try's likelihood beyond which it is not rewarded (ppo)."""
+    entropy: float = 1e-3
+    """Weight of the logarithm of the deviation, which ppo learns."""
+    max_yaw_rate: float = 1.5
+
+    def __post_init__(self) -> None:
+        if self.method not in ("ppo", "gradient"):
+            raise InputError(f"reinforce: method is {self.method!r}, want ppo or gradient")
+        for name in ("learning_rate", "deviation", "ratio", "max_yaw_rate"):
+            if not getattr(self, name) > 0.0:
+                raise InputError(f"reinforce: {name} is {getattr(self, name)}, want a positive number")
+        for name in ("tries", "passes"):
+            if getattr(self, name) < 1:
+                raise InputError(f"reinforce: {name} is {getattr(self, name)}, want 1 or more")
+
+
+class Learner(NamedTuple):
+    """All that reinforcement changes."""
+
+    parameters: Any
+    log_deviation: Float[Array, ""]
+    optimiser: Any
+
+
+class Return(NamedTuple):
+    """What a batch of flights earned, on average."""
+
+    reward: Float[Array, ""]
+    probability: Float[Array, ""]
+    relative_time: Float[Array, ""]
+
+
+Climb = Callable[[Learner, Classifier, Examples, PRNGKeyArray], tuple[Learner, Return]]
+
+
+def start_learning(parameters: Any, config: ReinforceConfig) -> Learner:
+    """Begin with the weights of a pretrained policy."""
+    deviation = jnp.float32(jnp.log(config.deviation))
+    return Learner(parameters, deviation, _optimiser(config).init((parameters, deviation)))
+
+
+def build_climb(network: NetworkConfig, anchor: Any, config: ReinforceConfig) -> Climb:
+    """One compiled step: batches are tried, judged and learnt from.
+
+    Args:
+        anchor: the weights that the policy must not leave too far behind.
+    """
+    optimiser, decoder = _optimiser(config), PolicyNetwork(network)
+
+    def update(learner: Learner, objective: Callable[..., Any]) -> tuple[Learner, Any]:
+        trained = (learner.parameters, learner.log_deviation)
+        slope, found = jax.grad(objective, has_aux=True)(trained)
+        change, memory = optimiser.update(slope, learner.optimiser, trained)
+        parameters, log_deviation = optax.apply_updates(trained, change)
+        return Learner(parameters, log_deviation, memory), found
+
+    @jax.jit
+    def climb(learner: Learner, classifier: Classifier, batch: Examples, key: PRNGKeyArray) -> tuple[Learner, Return]:
+        known = log_durations(decoder, anchor, batch)
+        if config.method == "gradient":
+            direct = lambda trained: _gradient_loss(trained[0], known, decoder, classifier, batch, config)  # noqa: E731
+            return update(learner, direct)
+        tries = _try(learner, decoder, classifier, batch, key, config)
+        for _ in range(config.passes):
+            learner, found = update(learner, lambda trained: _ppo_loss(trained, tries, known, decoder, batch, config))
+        return learner, found
+
+    return climb
+
+
+def log_durations(network: PolicyNetwork, parameters: Any, batch: Examples) -> Float[Array, "m b"]:
+    """Logarithms of a policy's durations, 0 on padding."""
+    frame, memory, _ = read_sequences(network, parameters, batch.waypoints, batch.count)
+    durations = allocate_times(network, parameters, memory, frame, batch.initial)
+    return jnp.where(memory.real, jnp.log(jnp.maximum(durations, 1e-3)), 0.0)
+
+
+def rewards(
+    classifier: Classifier, batch: Examples, logs: Float[Array, "m b"], config: ReinforceConfig
+) -> tuple[Float[Array, "b"], Float[Array, "b"], Float[Array, "b"]]:
+    """Reward, probability to be feasible, and T / T_MS of each flight."""
+    durations = jnp.where(batch.durations > 0.0, jnp.exp(logs.astype(batch.waypoints.dtype)), 0.0)
+    splines = fit_each(batch.initial, batch.waypoints, durations, config.max_yaw_rate)
+    feasible = classifier.predict(splines).probability
+    relative = jnp.sum(durations, axis=0) / jnp.sum(batch.durations, axis=0)
+    return (config.bonus + jnp.minimum(1.0 - relative, config.ceiling)) * feasible, feasible, relative
+
+
+class _Tries(NamedTuple):
+    """Several noisy versions of every sequence's durations; t x b flights."""
+
+    logs: Float[Array, "t m b"]
+    log_likelihood: Float[Array, "t b"]
+    advantage: Float[Array, "t b"]
+    found: Return
+
+
+def _gradient_loss(
+    parameters: Any,
+    known: Float[Array, "m b"],
+    network: PolicyNetwork,
+    classifier: Classifier,
+    batch: Examples,
+    config: ReinforceConfig,
+) -> tuple[Float[Array, ""], Return]:
+    logs = log_durations(network, parameters, batch)
+    reward, feasible, relative = rewards(classifier, batch, logs, config)
+    loss = -jnp.mean(reward) + config.anchor * _divergence(logs, known, config.deviation)
+    return loss, Return(jnp.mean(reward), jnp.mean(feasible), jnp.mean(relative))
+
+
+def _try(
+    learner: Learner,
+    network: PolicyNetwork,
+    classifier: Classifier,
+    batch: Examples,
+    key: PRNGKeyArray,
+    config: ReinforceConfig,
+) -> _Tries:
+    mean = log_durations(network, learner.parameters, batch)
+    noise = jax.random.normal(key, (config.tries, *mean.shape), mean.dtype)
+    logs = mean + jnp.exp(learner.log_deviation) * noise * (batch.durations > 0.0)
+    reward, feasible, relative = jax.lax.map(lambda one: rewards(classifier, batch, one, config), logs)
+    advantage = reward - jnp.mean(reward, axis=0)
+    advantage = advantage / (jnp.std(advantage) + 1e-6)
+    likelihood = _log_likelihood(logs, mean, learner.log_deviation, batch)
+    return _Tries(logs, likelihood, advantage, Return(jnp.mean(reward), jnp.mean(feasible), jnp.mean(relative)))
+
+
+def _ppo_loss(
+    trained: tuple[Any, Float[Array, ""]],
+    tries: _Tries,
+    known: Float[Array, "m b"],
+    network: PolicyNetwork,
+    batch: Examples,
+    config: ReinforceConfig,
+) -> tuple[Float[Array, ""], Return]:
+    """The clipped surrogate (Schulman et al. 2017, eq. 7)."""
+    parameters, log_deviation = trained
+    mean = log_durations(network, parameters, batch)
+    ratio = jnp.exp(_log_likelihood(tries.logs, mean, log_deviation, batch) - tries.log_likelihood)
+    clipped = jnp.clip(ratio, 1.0 - config.ratio, 1.0 + config.ratio)
+    gain = jnp.mean(jnp.minimum(ratio * tries.advantage, clipped * tries.advantage))
+    kept = config.anchor * _divergence(mean, known, config.deviation) - config.entropy * log_deviation
+    return kept - gain, tries.found
+
+
+def _log_likelihood(
+    logs: Float[Array, "t m b"], mean: Float[Array, "m b"], log_deviation: Float[Array, ""], batch: Examples
+) -> Float[Array, "t b"]:
+    """Of normal distributions about ``mean``, without their constant."""
+    each = -0.5 * ((logs - mean) * jnp.exp(-log_deviation)) ** 2 - log_deviation
+    return jnp.sum(jnp.where(batch.durations > 0.0, each, 0.0), axis=-2)
+
+
+def _divergence(logs: Float[Array, "m b"], known: Float[Array, "m b"], deviation: float) -> Float[Array, ""]:
+    """Kullback-Leibler divergence of normal distributions of equal width, averaged over the batch."""
+    return jnp.mean(jnp.sum(0.5 * ((logs - known) / deviation) ** 2, axis=0))
+
+
+def _optimiser(config: ReinforceConfig) -> optax.GradientTransformation:
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(config.learning_rate))

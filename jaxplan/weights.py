@@ -1,0 +1,104 @@
+"""Trained arrays as one file, and whether they are what they claim to be.
+
+An ``.npz`` of plain arrays with a JSON header: format, kind, the hash of the arrays, and what the kind adds (sizes,
+golden outputs, a model card). A file that is damaged, of another version or of another kind is refused by name.
+"""
+
+import hashlib
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxplan.errors import FileError
+
+FORMAT = 2
+LARGEST = 64 * 2**20
+"""Bytes; a larger file is not one of ours."""
+
+Arrays = dict[str, np.ndarray]
+
+
+def write_weights(path: Path, kind: str, header: dict[str, Any], tree: Any) -> None:
+    """Write a tree of arrays (as float32) with its header."""
+    arrays = flatten(tree)
+    stated = {"format": FORMAT, "kind": kind, "sha256": _digest(arrays), **header}
+    packed = io.BytesIO()
+    np.savez(packed, allow_pickle=False, header=np.frombuffer(json.dumps(stated).encode(), np.uint8), **arrays)
+    path.write_bytes(packed.getvalue())
+
+
+def read_weights(path: Path, kind: str) -> tuple[dict[str, Any], Arrays]:
+    """Header and arrays of a file of this ``kind``.
+
+    Raises:
+        FileError: damaged, of another format or kind, or with arrays of another hash than the header states.
+    """
+    if path.stat().st_size > LARGEST:
+        raise FileError(f"{path}: has {path.stat().st_size} bytes, want a {kind} of at most {LARGEST}")
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
+            arrays = {key: data[key] for key in data.files}
+        header = json.loads(arrays.pop("header").tobytes())
+        version, found, wanted = header["format"], header["kind"], header["sha256"]
+    except Exception as error:  # zip, JSON, key, ... : a damaged file can fail anywhere
+        raise FileError(f"{path}: cannot be read as a {kind}; the file is damaged or something else") from error
+    if version != FORMAT:
+        raise FileError(f"{path}: has format {version}, want {FORMAT}; use weights made for this version of jaxplan")
+    if found != kind:
+        raise FileError(f"{path}: holds a {found}, want a {kind}; correct the name")
+    if _digest(arrays) != wanted:
+        raise FileError(f"{path}: the weights do not have the hash that the header states; the file is damaged")
+    return header, arrays
+
+
+def resolve_weights(source: str | Path, folder: Path, kind: str) -> tuple[Path, str]:
+    """File and name of weights: those shipped in ``folder`` by name, or a file."""
+    shipped = folder / f"{source}.npz"
+    if shipped.is_file():
+        return shipped, str(source)
+    path = Path(source)
+    if path.is_file():
+        return path, path.stem
+    names = ", ".join(sorted(file.stem for file in folder.glob("*.npz"))) or "none"
+    raise FileError(f"{kind} {str(source)!r}: neither a file nor a shipped {kind} ({names}); correct the name")
+
+
+def flatten(tree: Any) -> Arrays:
+    """Leaves by their path, as float32."""
+    leaves = jax.tree_util.tree_leaves_with_path(tree)
+    return {
+        jax.tree_util.keystr(path, simple=True, separator="/"): np.asarray(leaf, np.float32) for path, leaf in leaves
+    }
+
+
+def unflatten(arrays: Arrays) -> dict[str, Any]:
+    """A tree of dictionaries with these leaves."""
+    tree: dict[str, Any] = {}
+    for name, array in arrays.items():
+        *folders, last = name.split("/")
+        place = tree
+        for folder in folders:
+            place = place.setdefault(folder, {})
+        place[last] = array
+    return tree
+
+
+def restore(template: Any, arrays: Arrays) -> Any:
+    """``template`` with its leaves replaced by the arrays of the same path; FileError where they do not fit."""
+    wanted = flatten(template)
+    if {name: leaf.shape for name, leaf in wanted.items()} != {name: leaf.shape for name, leaf in arrays.items()}:
+        raise FileError("the weights do not fit their network; the file is damaged")
+    return jax.tree.unflatten(jax.tree.structure(template), [arrays[name] for name in wanted])
+
+
+def _digest(arrays: Arrays) -> str:
+    """Hash of names, shapes and contents."""
+    found = hashlib.sha256()
+    for name in sorted(arrays):
+        found.update(f"{name} {arrays[name].shape} {arrays[name].dtype}".encode())
+        found.update(np.ascontiguousarray(arrays[name]).tobytes())
+    return found.hexdigest()

@@ -1,0 +1,223 @@
+"""The feasibility classifier: its Gaussian processes against exact ones, its features' symmetries, its file."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from jaxplan.errors import FileError, InputError
+from jaxplan.feasibility.checkpoint import classifier_card, load_classifier, save_classifier
+from jaxplan.feasibility.classifier import make_classifier, new_model
+from jaxplan.feasibility.features import INSTANTS, MOTION_FEATURES, FeatureConfig, motion_features
+from jaxplan.feasibility.gaussian_process import (
+    Rbf,
+    divergence,
+    expected_log_likelihood,
+    lower_bound,
+    marginals,
+    new_process,
+    predict,
+    prepare,
+    probability,
+    rbf,
+    related,
+)
+from jaxplan.minsnap.batch import fit_each
+from jaxplan.spline import FlatState
+from jaxplan.training.classifier import ClassifierConfig, Labelled, train_classifier
+from jaxplan.training.scores import area_under_curve, binary_scores
+
+SMALL = FeatureConfig(width=8, latent=3)
+
+
+def random_process(kernel, dimensions, count=20, seed=0):
+    rng = np.random.default_rng(seed)
+    process = new_process(kernel, jnp.asarray(rng.uniform(-2, 2, (count, dimensions)), jnp.float32))
+    root = np.tril(0.2 * rng.normal(size=(count, count)), -1) + np.diag(rng.uniform(-1.5, -0.2, count))
+    return process._replace(mean=jnp.asarray(rng.normal(size=count), jnp.float32), root=jnp.asarray(root, jnp.float32))
+
+
+@pytest.mark.parametrize("kernel", [rbf(3, 1.5, 1.2), related(2)], ids=["low", "high"])
+def test_marginals_follow_their_definition(kernel):
+    """The distribution of f(x) under q, written out with inverses in float64."""
+    process = random_process(kernel, 3)
+    x = np.random.default_rng(1).uniform(-2, 2, (7, 3))
+    exact = jax.tree.map(lambda leaf: np.asarray(leaf, float), process)
+    with jax.enable_x64(True):
+        inner = np.asarray(exact.kernel(jnp.asarray(exact.inducing), jnp.asarray(exact.inducing)))
+        cross = np.asarray(exact.kernel(jnp.asarray(exact.inducing), jnp.asarray(x)))
+        prior = np.diag(np.asarray(exact.kernel(jnp.asarray(x), jnp.asarray(x))))
+    factor = np.linalg.cholesky(inner + 1e-4 * inner.diagonal().max() * np.eye(len(inner)))
+    root = np.tril(exact.root, -1) + np.diag(np.exp(np.diag(exact.root)))
+    weights = np.linalg.solve(factor, cross)
+    mean = exact.offset + weights.T @ exact.mean
+    variance = prior - (weights**2).sum(axis=0) + ((root.T @ weights) ** 2).sum(axis=0)
+    for found in (
+        marginals(process, jnp.asarray(x, jnp.float32)),
+        predict(prepare(process), jnp.asarray(x, jnp.float32)),
+    ):
+        np.testing.assert_allclose(found[0], mean, atol=5e-3)
+        np.testing.assert_allclose(found[1], variance, atol=2e-2)
+
+
+def test_kernels_are_positive_definite_and_the_second_depends_on_the_first():
+    x = jnp.asarray(np.random.default_rng(0).normal(size=(30, 4)), jnp.float32)
+    for kernel in (rbf(4), related(3)):
+        assert np.linalg.eigvalsh(np.asarray(kernel(x, x), float)).min() > -1e-4
+    same = jnp.concatenate([jnp.zeros((2, 3)), jnp.array([[1.0], [-1.0]])], axis=1)
+    covariance = np.asarray(related(3)(same, same))
+    assert covariance[0, 1] < covariance[0, 0]
+
+
+def test_probability_and_expectation_against_quadrature():
+    mean, variance = jnp.array([-2.0, 0.3, 4.0]), jnp.array([0.5, 2.0, 1.0])
+    grid = np.linspace(-30, 30, 200_001)
+    for index in range(3):
+        density = norm.pdf(grid, float(mean[index]), float(np.sqrt(variance[index])))
+        step = grid[1] - grid[0]
+        wanted = (density * norm.cdf(grid)).sum() * step
+        assert float(probability(mean, variance)[index]) == pytest.approx(wanted, abs=1e-5)
+        for positive, sign in ((True, 1.0), (False, -1.0)):
+            wanted = (density * norm.logcdf(sign * grid)).sum() * step
+            found = expected_log_likelihood(mean, variance, jnp.full(3, positive))[index]
+            assert float(found) == pytest.approx(wanted, rel=2e-3, abs=1e-4)
+
+
+def test_divergence_is_that_of_normal_distributions():
+    process = random_process(rbf(2), 2, count=5)
+    root = np.tril(np.asarray(process.root, float), -1) + np.diag(np.exp(np.diag(process.root)))
+    covariance, mean = root @ root.T, np.asarray(process.mean, float)
+    wanted = 0.5 * (np.trace(covariance) + mean @ mean - 5 - np.linalg.slogdet(covariance)[1])
+    assert float(divergence(process)) == pytest.approx(wanted, rel=1e-4)
+    assert float(divergence(new_process(rbf(2), jnp.zeros((4, 2))))) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_with_every_datum_inducing_the_bound_approaches_the_exact_evidence():
+    """An exact GP classifier on small data: the evidence by Monte Carlo over the prior, no sparseness."""
+    rng = np.random.default_rng(0)
+    x = jnp.asarray(rng.uniform(-2, 2, (12, 1)), jnp.float32)
+    positive = jnp.asarray(np.asarray(x[:, 0]) > 0.2)
+    kernel = Rbf(jnp.log(jnp.array([0.8])), jnp.log(jnp.float32(1.5)))
+    covariance = np.asarray(kernel(x, x), float) + 1e-4 * 2.25 * np.eye(12)
+    draws = rng.multivariate_normal(np.zeros(12), covariance, 400_000)
+    likelihood = norm.cdf(np.where(np.asarray(positive), 1, -1) * draws).prod(axis=1)
+    evidence = np.log(likelihood.mean())
+    process = new_process(kernel, x)
+
+    @jax.jit
+    def climb(values):
+        def bound(values):
+            return 12 * lower_bound(process._replace(mean=values[0], root=values[1]), x, positive, 12)
+
+        found, slope = jax.value_and_grad(bound)(values)
+        return found, jax.tree.map(lambda value, change: value + 0.05 * change, values, slope)
+
+    values = (process.mean, process.root)
+    for _ in range(1500):
+        found, values = climb(values)
+    assert evidence - 0.1 < float(found) <= evidence + 0.01
+    chances = probability(*marginals(process._replace(mean=values[0], root=values[1]), x))
+    exact = (norm.cdf(draws) * likelihood[:, None]).mean(axis=0) / likelihood.mean()
+    np.testing.assert_allclose(chances, exact, atol=0.03)
+
+
+def random_flights(seed=0, lanes=6):
+    rng = np.random.default_rng(seed)
+    points = np.cumsum(rng.normal(size=(4, 3, lanes)), axis=0)
+    derivatives = rng.normal(size=(5, 3, lanes))
+    derivatives[0] = points[0]
+    return points, derivatives, rng.normal(size=(3, lanes)) * 0.3, rng.uniform(0.4, 1.5, (3, lanes))
+
+
+def features_of(points, derivatives, yaw, durations):
+    with jax.enable_x64(True):
+        state = FlatState(derivatives=jnp.asarray(derivatives), yaw=jnp.asarray(yaw))
+        return np.asarray(motion_features(fit_each(state, jnp.asarray(points), jnp.asarray(durations), 1.5)))
+
+
+def test_features_do_not_change_when_a_flight_is_moved_or_turned():
+    points, derivatives, yaw, durations = random_flights()
+    angle = 0.7
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    moved = np.einsum("ij,njk->nik", turn, points) + np.array([5.0, -3.0, 2.0])[:, None]
+    turned = yaw + np.array([angle, 0.0, 0.0])[:, None]
+    here = features_of(points, derivatives, yaw, durations)
+    rotated = np.einsum("ij,njk->nik", turn, derivatives)
+    rotated[0] = moved[0]
+    there = features_of(moved, rotated, turned, durations)
+    assert here.shape == (6, INSTANTS, MOTION_FEATURES)
+    np.testing.assert_allclose(here, there, atol=1e-4)
+    assert np.abs(here - features_of(points, derivatives, yaw, 0.8 * durations)).max() > 0.1
+
+
+def learnable(count, seed):
+    """Motions whose high label is the low one's with noise: the first feature's maximum decides."""
+    rng = np.random.default_rng(seed)
+    motion = rng.normal(size=(count, INSTANTS, MOTION_FEATURES)).astype(np.float32)
+    motion += 1.5 * rng.normal(size=(count, 1, MOTION_FEATURES)).astype(np.float32)
+    top = motion[..., 0].max(axis=1)
+    return motion, top > 2.0, top + 0.2 * rng.normal(size=count) > 2.2
+
+
+def test_a_classifier_learns_and_is_the_same_from_its_file(tmp_path):
+    motion, low, high = learnable(3000, 0)
+    config = ClassifierConfig(features=SMALL, inducing=16, steps=400, batch=128, learning_rate=1e-2)
+    model, loss = train_classifier(config, Labelled(motion[:2000], low[:2000]), Labelled(motion[:500], high[:500]))
+    assert np.isfinite(loss)
+    found = make_classifier(SMALL, model).judge(jnp.asarray(motion[2000:]))
+    scores = binary_scores(np.asarray(found.probability, float), high[2000:])
+    assert scores["auc"] > 0.9
+    assert scores["brier"] < 0.15
+    assert (np.asarray(found.deviation) > 0.0).all()
+    path = tmp_path / "mine.npz"
+    save_classifier(path, SMALL, model, {"command": "none"})
+    again = load_classifier(path).judge(jnp.asarray(motion[2000:]))
+    np.testing.assert_array_equal(found.probability, again.probability)
+    assert classifier_card(path)["command"] == "none"
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 4
+    path.write_bytes(bytes(content))
+    with pytest.raises(FileError, match=r"mine\.npz"):
+        load_classifier(path)
+
+
+def test_gradients_reach_the_durations():
+    points, derivatives, yaw, durations = random_flights()
+    classifier = make_classifier(SMALL, random_model())
+
+    def total(durations):
+        state = FlatState(derivatives=jnp.asarray(derivatives), yaw=jnp.asarray(yaw))
+        return jnp.sum(classifier.predict(fit_each(state, jnp.asarray(points), durations, 1.5)).probability)
+
+    with jax.enable_x64(True):
+        slope = np.asarray(jax.jit(jax.grad(total))(jnp.asarray(durations)))
+    assert np.isfinite(slope).all()
+    assert np.abs(slope).max() > 0.0
+
+
+def random_model():
+    model = new_model(SMALL, 8, 0)
+    weights = jnp.asarray(np.random.default_rng(0).normal(size=8), jnp.float32)
+    return model._replace(low=model.low._replace(mean=weights), high=model.high._replace(mean=weights))
+
+
+def test_wrong_settings_are_refused():
+    with pytest.raises(InputError, match="batch"):
+        ClassifierConfig(batch=0)
+    with pytest.raises(InputError, match="width"):
+        FeatureConfig(width=0)
+    nothing = Labelled(np.zeros((0, INSTANTS, MOTION_FEATURES), np.float32), np.zeros(0, bool))
+    with pytest.raises(InputError, match="labels of both fidelities"):
+        train_classifier(ClassifierConfig(steps=1), nothing, nothing)
+
+
+def test_scores_against_their_definitions():
+    rng = np.random.default_rng(0)
+    chance, positive = np.round(rng.random(300), 2), rng.random(300) < 0.4
+    pairs = chance[positive][:, None] - chance[~positive][None]
+    assert area_under_curve(chance, positive) == pytest.approx(np.mean((pairs > 0) + 0.5 * (pairs == 0)))
+    assert np.isnan(area_under_curve(chance, np.ones(300, bool)))
+    honest = rng.random(200_000)
+    assert binary_scores(honest, rng.random(200_000) < honest)["calibration_error"] < 0.01
+    assert binary_scores(np.full(100, 0.9), np.zeros(100, bool))["calibration_error"] == pytest.approx(0.9)
