@@ -12,12 +12,12 @@ from jaxtyping import Float
 from jaxplan.compilation import compilations
 from jaxplan.config import InterceptConfig
 from jaxplan.errors import InputError
+from jaxplan.feasibility.checkpoint import load_classifier
 from jaxplan.io.targets import Target, load_target
 from jaxplan.numerics import in_float64
 from jaxplan.planner import APPROACH_LANES, PlannerConfig, build_planner
 from jaxplan.policy.checkpoint import load_policy
 from jaxplan.policy.constant_speed import constant_speed_policy
-from jaxplan.policy.protocol import Policy
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.predictors import PredictionConfig, StepPredictor, build_predictor, candidate_count
 from jaxplan.prediction.stream import ObservationStream, StreamConfig
@@ -137,7 +137,7 @@ def prepare(config: InterceptConfig) -> Scenario:
     position = _start(config, world, target, planner_config.padding)
     _check_start(position, world, vehicle, distance)
     start = hover(position)
-    planner = build_planner(planner_config, world=world, vehicle=vehicle, policy=_policy(config.planner))
+    planner = build_planner(planner_config, world=world, vehicle=vehicle, **_policy(config.planner))
     predictor = predictor_for(config, world, target)
     return Scenario(
         world=world,
@@ -283,9 +283,11 @@ def _check_start(position: Float[np.ndarray, "3"], world: World, vehicle: Vehicl
         )
 
 
-def _policy(planner: str) -> Policy:
-    """The time allocation that ``--planner`` names."""
-    return constant_speed_policy() if planner == "no-policy" else load_policy(planner)
+def _policy(planner: str) -> dict[str, Any]:
+    """The time allocation that ``--planner`` names, and what judges its flights."""
+    if planner == "no-policy":
+        return {"policy": constant_speed_policy()}
+    return {"policy": load_policy(planner), "classifier": load_classifier("mfrl") if planner == "mfrl" else None}
 
 
 def _start(config: InterceptConfig, world: World, target: Target, padding: float) -> Float[np.ndarray, "3"]:

@@ -52,6 +52,8 @@ class CommittedPlan(NamedTuple):
     """When the target is expected at the goal [s]; for an approach the vehicle arrives later."""
     alpha: float
     status: PlanStatus
+    probability: float = np.nan
+    """Of being tracked, by the classifier; NaN where the rotor limits decided."""
 
 
 class Cycle(NamedTuple):
@@ -178,6 +180,7 @@ class Replanner:
             arrival_time=takeover + float(plans.arrival_times[chosen]),
             alpha=float(plans.alpha[chosen]),
             status=status,
+            probability=float(plans.margins.probability[plans.lanes[chosen]]),
         )
         self.plans.append(plan)
         jump = np.abs(spline.state(0.0).derivatives - state.derivatives).max(axis=-1)

@@ -31,7 +31,12 @@ class CheckConfig:
     instants: int = 128
     """Instants of a trajectory, evenly spread over its duration, at which the rotors are looked at."""
 
+    least_probability: float = 0.5
+    """Probability of being tracked that a trajectory needs where a classifier judges instead of the rotor limits."""
+
     def __post_init__(self) -> None:
+        if not 0.0 <= self.least_probability <= 1.0:
+            raise InputError(f"checks: least_probability is {self.least_probability}, want a number from 0 to 1")
         if not self.max_deviation > 0.0:
             raise InputError(f"checks: max_deviation is {self.max_deviation} m, want a positive number")
         if not self.tracking_margin >= 0.0:
@@ -52,16 +57,25 @@ class Margins:
     """Lower bound [m] of the distance to obstacles and to the room's faces, anywhere on the trajectory."""
     rotor_speed: Float[Array, "k"]
     """Distance [rad/s] of the worst rotor from its nearest limit, over the samples."""
+    probability: Float[Array, "k"]
+    """Of being tracked, by the classifier; NaN without one."""
     reasons: UInt32[Array, "k"]
 
 
 def check(
-    splines: SplineBatch, paths: Float[Array, "p 3 k"], world: World, vehicle: Vehicle, config: CheckConfig
+    splines: SplineBatch,
+    paths: Float[Array, "p 3 k"],
+    world: World,
+    vehicle: Vehicle,
+    config: CheckConfig,
+    probability: Float[Array, "k"] | None = None,
 ) -> Margins:
-    """Deviation, clearance and rotor limits of every spline.
+    """Deviation, clearance and feasibility of every spline.
 
     Args:
         paths: the searched paths, resampled at uniform arc length.
+        probability: of being tracked; where given, it decides feasibility instead of the rotor limits, which flights
+            may exceed for an instant without harm.
     """
     count = config.samples_per_segment
     middles = (np.arange(count) + 0.5) / count
@@ -70,13 +84,17 @@ def check(
     clear = _clearance_bound(samples, splines, count, world)
     rotors = least_rotor_margin(vehicle, splines.states(config.instants))
     finite = jnp.isfinite(splines.position).all(axis=(0, 1, 2)) & jnp.isfinite(splines.yaw).all(axis=(0, 1, 2))
+    if probability is None:
+        feasible, doubted, probability = rotors >= 0.0, Reason.LIMITS, jnp.full_like(rotors, jnp.nan)
+    else:
+        feasible, doubted = probability >= config.least_probability, Reason.UNTRACKABLE
     reasons = (
         bit(~finite, Reason.NONFINITE)
         | bit(~(deviation < config.max_deviation), Reason.DEVIATION)
         | bit(~(clear >= vehicle.radius + config.tracking_margin), Reason.CLEARANCE)
-        | bit(~(rotors >= 0.0), Reason.LIMITS)
+        | bit(~feasible, doubted)
     )
-    return Margins(deviation=deviation, clearance=clear, rotor_speed=rotors, reasons=reasons)
+    return Margins(deviation=deviation, clearance=clear, rotor_speed=rotors, probability=probability, reasons=reasons)
 
 
 def select(score: Float[np.ndarray, "k"], reasons: UInt32[np.ndarray, "k"]) -> int:

@@ -29,6 +29,7 @@ class Reason(enum.IntFlag):
     PREFIX_ONLY = 1 << 12
     TARGET_LOST = 1 << 13
     OUTRANKED = 1 << 14
+    UNTRACKABLE = 1 << 15
 
 
 class Note(enum.IntFlag):

@@ -16,7 +16,7 @@ def write_plans(path: Path, plans: "Sequence[CommittedPlan]") -> None:
 
     Arrays: ``start_time`` [s], ``durations`` [s] (P, m), ``position`` [m] (P, m, n, 3) and ``yaw`` [rad]
     (P, m, k) as ascending coefficients in each segment's own time from 0 to 1, ``goal`` [m, world] (P, 3),
-    ``arrival_time`` [s], ``alpha`` and ``status`` (``jaxplan.status.PlanStatus``).
+    ``arrival_time`` [s], ``alpha``, ``probability`` of being tracked and ``status`` (``jaxplan.status.PlanStatus``).
     """
     segments = max((len(plan.spline.durations) for plan in plans), default=0)
     np.savez_compressed(
@@ -28,6 +28,7 @@ def write_plans(path: Path, plans: "Sequence[CommittedPlan]") -> None:
         goal=np.array([plan.goal for plan in plans], dtype=float).reshape(-1, 3),
         arrival_time=np.array([plan.arrival_time for plan in plans], dtype=float),
         alpha=np.array([plan.alpha for plan in plans], dtype=float),
+        probability=np.array([plan.probability for plan in plans], dtype=float),
         status=np.array([int(plan.status) for plan in plans], dtype=np.int32),
     )
 

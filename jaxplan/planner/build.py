@@ -12,6 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int, UInt32
 
+from jaxplan.feasibility.classifier import Classifier
 from jaxplan.minsnap.batch import SplineBatch
 from jaxplan.numerics import in_float64
 from jaxplan.planner.lanes import bucket_for, join_lanes, pad, scatter
@@ -62,12 +63,23 @@ class Evaluated(NamedTuple):
     """At least n lanes."""
 
 
-def build_planner(config: PlannerConfig | None = None, *, world: World, vehicle: Vehicle, policy: Policy) -> Planner:
-    """Compose the stations for one world, vehicle and policy."""
+def build_planner(
+    config: PlannerConfig | None = None,
+    *,
+    world: World,
+    vehicle: Vehicle,
+    policy: Policy,
+    classifier: Classifier | None = None,
+) -> Planner:
+    """Compose the stations for one world, vehicle and policy.
+
+    Args:
+        classifier: decides which trajectories the vehicle can follow; without one the rotor limits do.
+    """
     config = config or PlannerConfig()
     lattices = build_lattices(world, SearchConfig(padding=config.padding))
     world = in_float64(jax.device_put)(world)
-    parts = Parts(config, compile_stations(config, world, vehicle, policy), lattices, world)
+    parts = Parts(config, compile_stations(config, world, vehicle, policy, classifier), lattices, world)
     return Planner(
         plan_batch=functools.partial(in_float64(_plan_batch), parts),
         approach=functools.partial(in_float64(_approach), parts),

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, UInt32
 
 from jaxplan.arrival import Arrival, match_arrival
+from jaxplan.feasibility.classifier import Classifier
 from jaxplan.minsnap.batch import SplineBatch, fit
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.policy.protocol import Policy
@@ -50,7 +51,9 @@ class Stations(NamedTuple):
     trace: Callable[..., tuple[SplineBatch, Margins]]
 
 
-def compile_stations(config: PlannerConfig, world: World, vehicle: Vehicle, policy: Policy) -> Stations:
+def compile_stations(
+    config: PlannerConfig, world: World, vehicle: Vehicle, policy: Policy, classifier: Classifier | None
+) -> Stations:
     """Bind configuration and constants, and compile."""
 
     @jax.jit
@@ -90,7 +93,8 @@ def compile_stations(config: PlannerConfig, world: World, vehicle: Vehicle, poli
         world: World, state: FlatState, routes: Routes, durations: Float[Array, "m k"]
     ) -> tuple[SplineBatch, Margins]:
         splines = fit(state, routes.waypoints, durations, config.max_yaw_rate)
-        return splines, check(splines, routes.samples, world, vehicle, config.checks)
+        probability = None if classifier is None else classifier.predict(splines).probability
+        return splines, check(splines, routes.samples, world, vehicle, config.checks, probability)
 
     return Stations(
         functools.partial(reject, world), route, read, pick, match, stretch, functools.partial(trace, world)
