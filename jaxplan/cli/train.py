@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
+from jaxplan.cli.train_mfrl import mfrl
 from jaxplan.cli.train_policy import dataset, pretrain
 from jaxplan.versions import require_supported_jax
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from jaxplan.world.obstacles import World
 
 train = App(name="train", help="Learn from simulated data what planning needs.")
-for command in (dataset, pretrain):
+for command in (dataset, pretrain, mfrl):
     train.command(command)
 
 _HELD_OUT = 0.2

@@ -3,15 +3,18 @@
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxplan.feasibility.classifier import Classifier
+from jaxplan.feasibility.features import motion_features
 from jaxplan.numerics import in_float64
 from jaxplan.policy.protocol import Policy
 from jaxplan.tracking.track import track
+from jaxplan.training.active import judged, perturbed
 from jaxplan.training.dataset import (
     LANES,
     build_flights,
@@ -22,6 +25,7 @@ from jaxplan.training.dataset import (
     shard_path,
 )
 from jaxplan.training.labels import LabelConfig, Queries, initial_states, sped_up
+from jaxplan.training.scores import binary_scores
 from jaxplan.training.sequences import join, take
 from jaxplan.vehicle.params import Vehicle, load_vehicle
 
@@ -98,34 +102,74 @@ def _tracked(
     return np.asarray(track(build_flights(config)(queries, durations), vehicle=vehicle).feasible)
 
 
-def sample(
-    queries: Queries, labels: Float[np.ndarray, "m b"], good: Bool[np.ndarray, "b"], count: int, seed: int
-) -> tuple[Queries, Float[np.ndarray, "m n"]]:
-    """At most ``count`` of the good sequences, the lengths as even as they can be."""
-    rng = np.random.default_rng(seed)
-    lanes = np.flatnonzero(good)
-    rarity = 1.0 / np.bincount(queries.count[lanes])[queries.count[lanes]]
-    chosen = rng.choice(lanes, min(count, len(lanes)), replace=False, p=rarity / rarity.sum())
-    return take(queries, chosen), labels[..., chosen]
-
-
 def score_policy(policy: Policy, data: Path, flights: int, seed: int = 0) -> dict[str, Any]:
-    """Scores of a policy on ``flights`` held-out sequences of a dataset, for its model card."""
-    made = read_config(data)
-    config, vehicle = made.labels, load_vehicle(made.vehicle)
-    shards = [read_shard(shard_path(data, index)) for index in range(made.shards) if is_held_out(index)]
-    queries, labels = join([shard.queries for shard in shards]), np.concatenate([s.durations for s in shards], axis=-1)
-    slowdown = np.concatenate([shard.slowdown for shard in shards])
-    labels *= np.where(np.isfinite(slowdown), slowdown, 1.0)
-    queries, labels = sample(queries, labels, slowdown < np.inf, flights, seed)
-    found = compare(policy, vehicle, queries, labels, config)
-    moving = np.flatnonzero(np.linalg.norm(queries.derivatives[0], axis=0) > 0.5)[:LANES]
-    correlation = response(policy, take(queries, np.resize(moving, LANES)), build_labels(vehicle, config))
+    """Scores of a policy on ``flights`` held-out sequences of a dataset, for its model card.
+
+    ``relative_time`` is to labels slowed down until a rollout tracked them, ``..._at_limit`` to those at the rotors'
+    limits.
+    """
+    held = load_held_out(data, flights, seed)
+    config, vehicle = read_config(data).labels, load_vehicle(read_config(data).vehicle)
+    found = compare(policy, vehicle, held.queries, held.slowed, config)
+    at_limit = found.relative_time * (held.slowed.sum(axis=0) / held.limits.sum(axis=0))
+    limits_tracked = _tracked(vehicle, held.queries, held.limits, config)
+    moving = np.flatnonzero(np.linalg.norm(held.queries.derivatives[0], axis=0) > 0.5)[:LANES]
+    correlation = response(policy, take(held.queries, np.resize(moving, LANES)), build_labels(vehicle, config))
     return {
         "sequences": len(found.counts),
         "relative_time": round(float(found.relative_time.mean()), 4),
+        "relative_time_at_limit": round(float(at_limit.mean()), 4),
         "policy_tracked": round(float(found.policy_tracked.mean()), 4),
         "label_tracked": round(float(found.label_tracked.mean()), 4),
+        "label_tracked_at_limit": round(float(limits_tracked.mean()), 4),
         "median_response_correlation": round(float(np.nanmedian(correlation)), 4),
         "by_length": found.by_length(),
     }
+
+
+def score_classifier(
+    classifier: Classifier, policy: Policy, data: Path, flights: int, seed: int = 0
+) -> dict[str, float]:
+    """Scores of a classifier on fresh rollouts of a policy's flights of held-out sequences, near the boundary.
+
+    The policy's durations are multiplied by 0.8 to 1.15 with 5 % noise on each, as in training.
+    """
+    made, held = read_config(data), load_held_out(data, flights, seed)
+    vehicle, rng = load_vehicle(made.vehicle), np.random.default_rng(seed)
+    tried = perturbed(policy_durations(policy, held.queries), (0.8, 1.15), 0.05, rng)
+    splines = build_flights(made.labels)(held.queries, tried)
+    motion = np.asarray(in_float64(jax.jit(motion_features))(splines))
+    feasible = np.asarray(track(splines, vehicle=vehicle, indices=10**6 + np.arange(len(motion))).feasible)
+    scores = binary_scores(judged(classifier, motion), feasible)
+    return {"flights": len(motion), "tracked": float(feasible.mean()), **scores}
+
+
+class HeldOut(NamedTuple):
+    """Sequences of the held-out shards, with both labels."""
+
+    queries: Queries
+    limits: Float[np.ndarray, "m n"]
+    """Durations at the rotors' limits [s]."""
+    slowed: Float[np.ndarray, "m n"]
+    """The same, slowed down until a rollout tracked them [s]."""
+
+
+def load_held_out(data: Path, count: int, seed: int) -> HeldOut:
+    """At most ``count`` held-out sequences with labels, the lengths as even as they can be."""
+    shards = [read_shard(shard_path(data, index)) for index in range(read_config(data).shards) if is_held_out(index)]
+    queries = join([shard.queries for shard in shards])
+    durations = np.concatenate([shard.durations for shard in shards], axis=-1)
+    slowdown = np.concatenate([shard.slowdown for shard in shards])
+    chosen = _even_lengths(queries.count, slowdown < np.inf, count, seed)
+    factor = np.where(np.isfinite(slowdown), slowdown, 1.0)[chosen]
+    return HeldOut(take(queries, chosen), durations[:, chosen], durations[:, chosen] * factor)
+
+
+def _even_lengths(
+    counts: Int[np.ndarray, "b"], good: Bool[np.ndarray, "b"], count: int, seed: int
+) -> Int[np.ndarray, "n"]:
+    """At most ``count`` of the good ones, rare lengths more likely."""
+    lanes = np.flatnonzero(good)
+    rarity = 1.0 / np.bincount(counts[lanes])[counts[lanes]]
+    rng = np.random.default_rng(seed)
+    return rng.choice(lanes, min(count, len(lanes)), replace=False, p=rarity / rarity.sum())
