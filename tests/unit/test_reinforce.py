@@ -1,0 +1,153 @@
+"""Reinforcement: the reward as written in the paper, steps that climb it, and runs that go on where they stopped."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxplan import cli
+from jaxplan.errors import FileError, InputError
+from jaxplan.feasibility.classifier import make_classifier, new_model
+from jaxplan.feasibility.features import FeatureConfig
+from jaxplan.minsnap.batch import fit_each
+from jaxplan.policy.network import NetworkConfig
+from jaxplan.spline import FlatState
+from jaxplan.training.active import least_certain, perturbed
+from jaxplan.training.classifier import ClassifierConfig
+from jaxplan.training.examples import Examples
+from jaxplan.training.labels import LabelConfig
+from jaxplan.training.mfrl import MfrlConfig, reinforce
+from jaxplan.training.pretrain import PretrainConfig, start_training
+from jaxplan.training.reinforce import ReinforceConfig, build_climb, rewards, start_learning
+from jaxplan.vehicle.params import load_vehicle
+
+NETWORK = NetworkConfig(hidden=8, attention=4, latent=2)
+FEATURES = FeatureConfig(width=8, latent=3)
+
+
+@pytest.fixture(scope="module")
+def examples():
+    """Straight and crooked flights from hover with durations of a sensible size."""
+    rng = np.random.default_rng(0)
+    points = np.cumsum(rng.normal(size=(7, 3, 64)), axis=0)
+    points -= points[:1]
+    count = rng.integers(2, 8, 64)
+    for lane, last in enumerate(count - 1):
+        points[last:, :, lane] = points[last, :, lane]
+    real = np.arange(6)[:, None] < count - 1
+    durations = np.where(real, 0.3 + np.linalg.norm(np.diff(points, axis=0), axis=1) / 3.0, 0.0)
+    derivatives = np.zeros((5, 3, 64))
+    return Examples(points, count, FlatState(derivatives=derivatives, yaw=np.zeros((3, 64))), durations)
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    return start_training(PretrainConfig(network=NETWORK)).parameters
+
+
+@pytest.fixture(scope="module")
+def classifier():
+    model = new_model(FEATURES, 8, 0)
+    weights = jnp.asarray(2.0 * np.random.default_rng(0).normal(size=8), jnp.float32)
+    return make_classifier(FEATURES, model._replace(high=model.high._replace(mean=weights)))
+
+
+def test_the_reward_is_probability_times_saved_time(examples, classifier):
+    logs = np.log(np.maximum(examples.durations, 1e-3)) - 0.1
+    with jax.enable_x64(True):
+        some = jax.tree.map(jnp.asarray, examples)
+        splines = fit_each(some.initial, some.waypoints, 0.9048374180359595 * some.durations, 1.5)
+        chance = np.asarray(classifier.predict(splines).probability)
+        for config, gain in (
+            (ReinforceConfig(bonus=0.0), 1.0 - np.exp(-0.1)),
+            (ReinforceConfig(bonus=0.2), 1.2 - np.exp(-0.1)),
+            (ReinforceConfig(bonus=0.1, ceiling=0.05), 0.15),
+        ):
+            found, feasible, relative = rewards(classifier, some, jnp.asarray(logs), config)
+            np.testing.assert_allclose(feasible, chance, atol=1e-5)
+            np.testing.assert_allclose(relative, np.exp(-0.1), rtol=1e-6)
+            np.testing.assert_allclose(found, gain * chance, atol=1e-5)
+
+
+@pytest.mark.parametrize("method", ["gradient", pytest.param("ppo", marks=pytest.mark.slow)])
+def test_steps_climb_the_reward(examples, parameters, classifier, method):
+    """On one batch, seen again and again, the reward grows far beyond its noise."""
+    config = ReinforceConfig(method=method, learning_rate=3e-3, anchor=1e-4, deviation=0.05)
+    with jax.enable_x64(True):
+        climb = build_climb(NETWORK, parameters, config)
+        learner, earned = start_learning(parameters, config), []
+        batch = jax.tree.map(jnp.asarray, examples)
+        for step in range(40):
+            learner, found = climb(learner, classifier, batch, jax.random.key(step))
+            earned.append(float(found.reward))
+    assert np.isfinite(earned).all()
+    assert np.mean(earned[-5:]) > np.mean(earned[:5]) + 0.02
+
+
+@pytest.mark.slow
+def test_an_anchor_holds_the_policy(examples, parameters, classifier):
+    """With the divergence alone to minimise, the weights stay where they are."""
+    config = ReinforceConfig(anchor=1e6)
+    with jax.enable_x64(True):
+        climb = build_climb(NETWORK, parameters, config)
+        learner, batch = start_learning(parameters, config), jax.tree.map(jnp.asarray, examples)
+        first = None
+        for step in range(5):
+            learner, found = climb(learner, classifier, batch, jax.random.key(step))
+            first = found if first is None else first
+    assert float(found.relative_time) == pytest.approx(float(first.relative_time), rel=2e-3)
+
+
+def test_labels_go_where_the_classifier_is_least_sure():
+    assert least_certain(np.array([0.9, 0.45, 0.1, 0.52]), 2).tolist() == [3, 1]
+    rng = np.random.default_rng(0)
+    tried = np.log(perturbed(np.ones((13, 5000)), (0.8, 1.25), 0.05, rng))
+    assert np.sqrt(tried.var(axis=0, ddof=1).mean()) == pytest.approx(0.05, rel=0.02)
+    factors = tried.mean(axis=0)
+    assert factors.std() == pytest.approx(np.log(1.25 / 0.8) / np.sqrt(12.0), rel=0.05)
+
+
+def test_wrong_settings_are_refused():
+    for wrong in ({"method": "sarsa"}, {"learning_rate": 0.0}, {"tries": 0}):
+        with pytest.raises(InputError, match="reinforce"):
+            ReinforceConfig(**wrong)
+    with pytest.raises(InputError, match="pool"):
+        MfrlConfig(pool=10, chosen=10, random=1)
+
+
+def test_the_command_refuses_what_is_not_there(tmp_path, capsys):
+    arguments = ["--data", str(tmp_path), "--run", str(tmp_path / "run"), "--classifier", str(tmp_path / "c.npz")]
+    assert cli.run(["train", "mfrl", *arguments, "--out", str(tmp_path / "p.txt")]) == 10
+    assert cli.run(["train", "mfrl", *arguments, "--out", str(tmp_path / "p.npz")]) == 11
+    assert "dataset.json" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_run_that_was_cut_off_ends_as_one_that_was_not(tmp_path, examples, parameters):
+    """Two rounds with rollouts, in one go and with a stop after the first."""
+    small = ClassifierConfig(features=FEATURES, inducing=8, steps=10, batch=32)
+    config = MfrlConfig(
+        classifier=small, first_steps=20, first_labels=64, rounds=2, pool=64, chosen=16, random=16, steps=3, batch=16
+    )
+    vehicle = load_vehicle()
+
+    def run(folder, report=lambda text: None):
+        return reinforce(folder, examples, vehicle, NETWORK, parameters, config, LabelConfig(), report)
+
+    def stop(text):
+        raise KeyboardInterrupt
+
+    whole = run(tmp_path / "whole")
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path / "cut", stop)
+    cut = run(tmp_path / "cut")
+    assert whole.done == cut.done == 2
+    for left, right in zip(jax.tree.leaves(whole), jax.tree.leaves(cut), strict=True):
+        np.testing.assert_array_equal(left, right)
+    rows = [json.loads(line) for line in (tmp_path / "cut" / "metrics.jsonl").read_text().splitlines()]
+    assert [row["round"] for row in rows] == [1, 2]
+    assert {"auc", "brier", "relative_time", "probability", "rollouts"} <= set(rows[0])
+    with pytest.raises(FileError, match="another configuration"):
+        reinforce(tmp_path / "cut", examples, vehicle, NETWORK, parameters, MfrlConfig(), LabelConfig())
