@@ -22,8 +22,8 @@ from jaxplan.numerics import in_float64
 from jaxplan.tracking.track import track
 from jaxplan.training.classifier import Labelled
 from jaxplan.training.dataset import build_flights
-from jaxplan.training.examples import Examples, lanes_of
 from jaxplan.training.labels import LabelConfig, Queries
+from jaxplan.training.sequences import take
 from jaxplan.vehicle.limits import least_rotor_margin
 from jaxplan.vehicle.params import Vehicle
 
@@ -40,7 +40,7 @@ class Flights(NamedTuple):
     """The low fidelity's label, which costs next to nothing."""
 
 
-Solve = Callable[[Examples, Float[np.ndarray, "m n"]], Flights]
+Solve = Callable[[Queries, Float[np.ndarray, "m n"]], Flights]
 
 
 def build_solve(vehicle: Vehicle, labels: LabelConfig) -> Solve:
@@ -50,23 +50,17 @@ def build_solve(vehicle: Vehicle, labels: LabelConfig) -> Solve:
         jax.jit(lambda s: (motion_features(s), least_rotor_margin(vehicle, s.states(labels.instants)) >= 0.0))
     )
 
-    def solve(examples: Examples, durations: Float[np.ndarray, "m n"]) -> Flights:
+    def solve(queries: Queries, durations: Float[np.ndarray, "m n"]) -> Flights:
         size, parts = durations.shape[-1], []
         for begin in range(0, size, LANES):
             lanes = np.minimum(np.arange(begin, begin + LANES), size - 1)
-            splines = fly(as_queries(lanes_of(examples, lanes)), durations[:, lanes])
+            splines = fly(take(queries, lanes), durations[:, lanes])
             motion, within = (np.asarray(leaf) for leaf in look(splines))
             parts.append((splines, np.moveaxis(motion, 0, -1), within))
         joined = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1)[..., :size], *parts)
         return Flights(joined[0], np.moveaxis(joined[1], -1, 0), joined[2])
 
     return solve
-
-
-def as_queries(examples: Examples) -> Queries:
-    """The same sequences for the label's functions."""
-    state = examples.initial
-    return Queries(examples.waypoints, examples.count, state.derivatives[1:], state.yaw)
 
 
 def perturbed(

@@ -12,6 +12,7 @@ from jaxplan.errors import FileError
 from jaxplan.search.knots import MAX_WAYPOINTS
 from jaxplan.spline import FlatState
 from jaxplan.training.dataset import is_held_out, read_config, read_shard, shard_path
+from jaxplan.training.labels import Queries
 
 SHORT = 7
 """Sequences of up to this many waypoints train in batches of their own, at half the cost."""
@@ -58,6 +59,12 @@ def batches(examples: Examples, size: int, seed: int, steps: Iterable[int]) -> I
         batch = lanes_of(examples, lanes)
         batch = batch._replace(waypoints=batch.waypoints[: segments + 1], durations=batch.durations[:segments])
         yield batch, jax.random.fold_in(jax.random.key(seed), step)
+
+
+def as_queries(examples: Examples) -> Queries:
+    """The same sequences without their labels."""
+    state = examples.initial
+    return Queries(examples.waypoints, examples.count, state.derivatives[1:], state.yaw)
 
 
 def lanes_of(examples: Examples, lanes: np.ndarray) -> Examples:

@@ -24,7 +24,7 @@ from jaxplan.numerics import in_float64
 from jaxplan.policy.network import NetworkConfig, PolicyNetwork
 from jaxplan.training import active
 from jaxplan.training.classifier import ClassifierConfig, Labelled, train_classifier
-from jaxplan.training.examples import Examples, batches, lanes_of
+from jaxplan.training.examples import Examples, as_queries, batches, lanes_of
 from jaxplan.training.labels import LabelConfig
 from jaxplan.training.reinforce import Learner, ReinforceConfig, build_climb, log_durations, start_learning
 from jaxplan.training.scores import binary_scores
@@ -134,7 +134,7 @@ def _label(
     size = config.first_labels if first else config.pool
     some = lanes_of(examples, rng.integers(len(examples.count), size=size))
     tried = active.perturbed(_in_parts(durations, run, some), config.span, config.noise, rng)
-    flights = solve(some, np.where(some.durations > 0.0, tried, 0.0))
+    flights = solve(as_queries(some), np.where(some.durations > 0.0, tried, 0.0))
     believed = active.judged(make_classifier(config.classifier.features, run.model), flights.motion)
     unbiased = np.arange(size if first else config.random)
     chosen = np.arange(0) if first else len(unbiased) + active.least_certain(believed[len(unbiased) :], config.chosen)
