@@ -15,7 +15,7 @@ from jaxtyping import Float, Int, UInt32
 from jaxplan.feasibility.classifier import Classifier
 from jaxplan.minsnap.batch import SplineBatch
 from jaxplan.numerics import in_float64
-from jaxplan.planner.lanes import bucket_for, join_lanes, pad, scatter
+from jaxplan.planner.lanes import bucket_for, join_lanes, pad, round_sizes, scatter
 from jaxplan.planner.records import (
     APPROACH_GOALS,
     APPROACH_SHARES,
@@ -25,7 +25,8 @@ from jaxplan.planner.records import (
     Plans,
     Timer,
 )
-from jaxplan.planner.stations import LENGTHS, Routes, Stations, compile_stations, shortened
+from jaxplan.planner.stations import Routes, Stations, compile_stations, shortened
+from jaxplan.planner.warmup import compile_all
 from jaxplan.policy.protocol import Policy
 from jaxplan.prediction.candidates import Candidates, candidates_from
 from jaxplan.search.lattice import Lattices, Paths, SearchConfig, build_lattices
@@ -157,7 +158,7 @@ def _approach(parts: Parts, state: FlatState, candidates: Candidates, timer: Tim
 
 def _warmup(parts: Parts, state: FlatState) -> None:
     warm_up_search(parts.lattices, parts.world, parts.config.path_capacity)
-    _compile_all(parts.stations, parts.config, state)
+    compile_all(parts.stations, parts.config, state)
     for count in parts.config.buckets:
         candidates = _around(state, count)
         _plan_batch(parts, state, candidates)
@@ -198,38 +199,16 @@ def _rounds(count: int, config: PlannerConfig) -> Iterator[int]:
     if config.exhaustive:
         yield bucket_for(count, config.buckets)
         return
-    small, large = _round_sizes(config)
+    small, large = round_sizes(config.buckets)
     yield small
     for _ in range(small, count, large):
         yield large
-
-
-def _round_sizes(config: PlannerConfig) -> tuple[int, int]:
-    return config.buckets[0], config.buckets[min(1, len(config.buckets) - 1)]
 
 
 def _by_score(score: Float[np.ndarray, "k"], reasons: UInt32[np.ndarray, "k"]) -> Int[np.ndarray, "n"]:
     """Candidates without a reason against them, the best first, equal ones in the order given."""
     possible = np.flatnonzero((reasons == 0) & np.isfinite(score))
     return possible[np.argsort(-score[possible], kind="stable")]
-
-
-def _compile_all(stations: Stations, config: PlannerConfig, state: FlatState) -> None:
-    """Every station at every size."""
-    for bucket in config.buckets:
-        paths = np.tile(np.asarray(state.pos), (bucket, config.path_capacity, 1))
-        routes = stations.route(paths, np.ones(bucket))
-        for length in LENGTHS:
-            some = shortened(routes, length)
-            context, _ = stations.read(some, state)
-            if bucket == config.buckets[0]:
-                durations = stations.stretch(some, state, np.ones(bucket))
-                jax.block_until_ready(stations.trace(state, some, durations))
-            for size in [bucket] if config.exhaustive else set(_round_sizes(config)):
-                lanes = np.zeros(size, dtype=int)
-                picked = stations.pick(context, lanes), stations.pick(some, lanes)
-                arrival = stations.match(picked[0], state, np.ones(size))
-                jax.block_until_ready(stations.trace(state, picked[1], arrival.durations))
 
 
 def _rejected(

@@ -18,6 +18,11 @@ def bucket_for(count: int, buckets: tuple[int, ...]) -> int:
     raise InputError(f"planner: {count} candidates, want at most {buckets[-1]}; raise PlannerConfig.buckets")
 
 
+def round_sizes(buckets: tuple[int, ...]) -> tuple[int, int]:
+    """Candidates of the first round of an ordered evaluation, and of the others."""
+    return buckets[0], buckets[min(1, len(buckets) - 1)]
+
+
 def pad(values: np.ndarray, length: int, fill: Any) -> np.ndarray:
     """``values`` followed by rows of ``fill`` up to ``length``."""
     padding = np.broadcast_to(np.asarray(fill, dtype=values.dtype), (length - len(values), *values.shape[1:]))
