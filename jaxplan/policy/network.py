@@ -154,7 +154,7 @@ def _gru(hidden: Float[Array, "h k"], driven: Float[Array, "3h k"], own: Float[A
 
 
 def softsign(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """x / (1 + |x|): in place of tanh, whose evaluation would cost three quarters of the network's time on a CPU."""
+    """x / (1 + |x|): in place of tanh, whose evaluation would cost half of the network's time or more on a CPU."""
     return x / (1.0 + jnp.abs(x))
 
 
