@@ -2,9 +2,12 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from jaxplan.versions import require_supported_jax
+
+if TYPE_CHECKING:
+    from jaxplan.training.mfrl import MfrlConfig
 
 
 def mfrl(
@@ -62,43 +65,49 @@ def mfrl(
     """
     require_supported_jax()
     from jaxplan.errors import InputError
+    from jaxplan.training.mfrl import MfrlConfig
+    from jaxplan.training.reinforce import ReinforceConfig
+
+    for path in (out, classifier):
+        if path.suffix != ".npz" or not path.parent.is_dir():
+            raise InputError(f"train mfrl: have {path}, want a .npz file in a folder that exists; correct it")
+    chosen = ReinforceConfig(method=method, bonus=bonus, anchor=anchor, learning_rate=learning_rate)
+    config = MfrlConfig(reinforce=chosen, rounds=rounds, steps=steps, first_labels=first_labels, seed=seed)
+    options = {"start": start, "method": method, "bonus": bonus, "anchor": anchor, "rounds": rounds, "steps": steps}
+    options |= {"first-labels": first_labels, "learning-rate": learning_rate, "seed": seed}
+    command = "jaxplan train mfrl " + " ".join(f"--{key} {value}" for key, value in options.items())
+    _make(data, run, out, classifier, start, config, command, flights)
+    print(f"{out}: {out.stat().st_size / 1e6:.2f} MB; {classifier}: {classifier.stat().st_size / 1e6:.2f} MB")
+    return 0
+
+
+def _make(
+    data: Path, run: Path, out: Path, judge: Path, start: str, config: "MfrlConfig", command: str, flights: int
+) -> None:
+    """Reinforce, save both artefacts, then score both and save them with their scores."""
     from jaxplan.feasibility.checkpoint import load_classifier, save_classifier
     from jaxplan.policy.checkpoint import load_parameters, load_policy, save_policy
     from jaxplan.training.dataset import digest, read_config
     from jaxplan.training.evaluate import score_classifier, score_policy
     from jaxplan.training.examples import load_examples
-    from jaxplan.training.mfrl import MfrlConfig, reinforce
-    from jaxplan.training.reinforce import ReinforceConfig
+    from jaxplan.training.mfrl import reinforce
     from jaxplan.vehicle.params import load_vehicle
 
-    for path in (out, classifier):
-        if path.suffix != ".npz" or not path.parent.is_dir():
-            raise InputError(f"train mfrl: have {path}, want a .npz file in a folder that exists; correct it")
     made = read_config(data)
     network, parameters = load_parameters(start)
-    config = MfrlConfig(
-        reinforce=ReinforceConfig(method=method, bonus=bonus, anchor=anchor, learning_rate=learning_rate),
-        rounds=rounds,
-        steps=steps,
-        first_labels=first_labels,
-        seed=seed,
-    )
     examples = load_examples(data, held_out=False)
     found = reinforce(run, examples, load_vehicle(made.vehicle), network, parameters, config, made.labels)
-    options = {"start": start, "method": method, "bonus": bonus, "anchor": anchor, "rounds": rounds, "steps": steps}
-    options |= {"first-labels": first_labels, "learning-rate": learning_rate, "seed": seed}
     card = {
-        "command": "jaxplan train mfrl " + " ".join(f"--{key} {value}" for key, value in options.items()),
+        "command": command,
         "config": dataclasses.asdict(config),
         "data": {"sha256": digest(data / "dataset.json"), **dataclasses.asdict(made)},
-        "rollouts": config.first_labels + (rounds - 1) * (config.chosen + config.random),
+        "rollouts": config.first_labels + (config.rounds - 1) * (config.chosen + config.random),
     }
+    features = config.classifier.features
     save_policy(out, network, found.learner.parameters, card)
-    save_classifier(classifier, config.classifier.features, found.model, card)
+    save_classifier(judge, features, found.model, card)
     if flights:
         scores = score_policy(load_policy(out), data, flights)
         save_policy(out, network, found.learner.parameters, {**card, "scores": scores})
-        scores = score_classifier(load_classifier(classifier), load_policy(out), data, flights)
-        save_classifier(classifier, config.classifier.features, found.model, {**card, "scores": scores})
-    print(f"{out}: {out.stat().st_size / 1e6:.2f} MB; {classifier}: {classifier.stat().st_size / 1e6:.2f} MB")
-    return 0
+        scores = score_classifier(load_classifier(judge), load_policy(out), data, flights)
+        save_classifier(judge, features, found.model, {**card, "scores": scores})
