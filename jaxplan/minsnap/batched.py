@@ -102,9 +102,9 @@ def solve_batch(
 ) -> MinimumSnapBatch:
     """The traced core of ``minimum_snap_batch``, in the precision of its arguments."""
     lanes, dtype = durations.shape[-1], durations.dtype
-    initial = jnp.zeros((POSITION_ORDER, 3, lanes), dtype) if initial is None else initial
-    given = [a for a in (initial[: ends.fixed], None if terminal is None else terminal[: ends.fixed]) if a is not None]
+    given = [a[: ends.fixed] for a in (initial, terminal) if a is not None]
     given += [a[:, None] for a in (yaw, initial_yaw) if a is not None]
+    initial = jnp.zeros((POSITION_ORDER, 3, lanes), dtype) if initial is None else initial
     status = judge(waypoints, durations, *given)
     skip = unsolved(status)
     points, times = harmless(waypoints, durations, skip)
