@@ -3,8 +3,9 @@
     jaxplan bench minsnap [--json FILE]
 
 "solve" gives coefficients and cost, "cost" the cost alone, "cost_and_gradient" its gradient by durations and waypoints
-too; float32 rows take and return float32 and solve in float64. SciPy's baseline is banded
-Cholesky (LAPACK pbsv) of the same degree-9 problem, one call per problem, without assembling the matrix.
+too, all inside jit; "numpy" is the whole public call on NumPy arrays, residual and status included. float32 rows take
+and return float32 and solve in float64. SciPy's baseline is banded Cholesky (LAPACK pbsv) of the same degree-9 problem,
+one call per problem, without assembling the matrix.
 """
 
 import argparse
@@ -99,6 +100,10 @@ def measure(sizes, batches, repeats):
                     head = {"method": function.__name__, "waypoints": waypoints, "batch": batch}
                     ratios = {f"times faster than {n}": t / each for n, t in baselines.items() if t is not None}
                     rows.append({**head, "dtype": jnp.dtype(dtype).name, **row, "ms_per_problem": each, **ratios})
+            arrays = [np.asarray(a) for a in problems(waypoints, batch, jnp.float64)]
+            row = _harness.timed(minimum_snap_batch, *arrays, repeats=repeats)
+            head = {"method": "numpy", "waypoints": waypoints, "batch": batch, "dtype": "float64"}
+            rows.append({**head, **row, "ms_per_problem": row["min_ms"] / batch})
     return rows
 
 

@@ -53,7 +53,6 @@ OWNERS = {
     "matplotlib": ("jaxplan/viz/",),
     "viser": ("jaxplan/viz/",),
     "dask": ("experiments/",),
-    "trimesh": ("jaxplan/world/", "jaxplan/viz/"),
 }
 
 BANNED_MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "shelve", "marshal", "yaml"}

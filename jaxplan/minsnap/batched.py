@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, UInt32
 
 from jaxplan.errors import InputError
 from jaxplan.minsnap.batch import SplineBatch
+from jaxplan.minsnap.chunks import in_parts
 from jaxplan.minsnap.precision import in_float64_inside, is_numpy
 from jaxplan.minsnap.problem import POSITION_ORDER, YAW_ORDER, Terminal, ends_of, interpolate, yaw_ends
 from jaxplan.minsnap.solve import Ends, cost, knot_derivatives, problem, segment_coefficients
@@ -49,7 +50,8 @@ def minimum_snap_batch(
     Problems of fewer segments are padded: durations of 0 behind the last real one, and any waypoints there. The work
     is linear in m. A bad problem gets a status, an infinite cost and an empty spline, and changes nothing in the
     others. May stand inside ``jit``, ``vmap`` and ``grad``, with and without 64-bit types: the solve is in float64
-    and the results have the precision of the arguments. NumPy in gives NumPy out, in float64, compiled once per shape.
+    and the results have the precision of the arguments. NumPy in gives NumPy out, in float64, compiled once per shape,
+    large batches in parts on all cores.
 
     The gradient of ``cost`` follows the envelope theorem, that of the splines a second solve: about the price of the
     first, at any order. (Forward mode needs a process with 64-bit types.)
@@ -75,9 +77,8 @@ def minimum_snap_batch(
         wanted = [a for a in arrays if a is not None]
         present = tuple(a is not None for a in arrays)
         return _bordered(ends, present)(*wanted)
-    with jax.enable_x64(True):
-        wide = tuple(None if a is None else np.asarray(a, dtype=np.float64) for a in arrays)
-        return jax.tree.map(np.asarray, _compiled(ends, *wide))
+    wide = tuple(None if a is None else np.asarray(a, dtype=np.float64) for a in arrays)
+    return in_parts(lambda part: _compiled(ends, *part), wide, lanes)
 
 
 @functools.cache
@@ -101,9 +102,9 @@ def solve_batch(
 ) -> MinimumSnapBatch:
     """The traced core of ``minimum_snap_batch``, in the precision of its arguments."""
     lanes, dtype = durations.shape[-1], durations.dtype
-    initial = jnp.zeros((POSITION_ORDER, 3, lanes), dtype) if initial is None else initial
-    given = [a for a in (initial[: ends.fixed], None if terminal is None else terminal[: ends.fixed]) if a is not None]
+    given = [a[: ends.fixed] for a in (initial, terminal) if a is not None]
     given += [a[:, None] for a in (yaw, initial_yaw) if a is not None]
+    initial = jnp.zeros((POSITION_ORDER, 3, lanes), dtype) if initial is None else initial
     status = judge(waypoints, durations, *given)
     skip = unsolved(status)
     points, times = harmless(waypoints, durations, skip)

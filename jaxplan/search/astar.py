@@ -70,10 +70,14 @@ def search(
     space = workspace(graph.moves.size)
     lists = make_goals(goals, wanted, centre, space.head, space.nearby)
     ends = tuple(start.tolist()), tuple(centre.tolist())
-    expanded, cells, first = _compiled_search()(
-        plain(graph), tuple(space.heap), tuple(lists), space.cost, space.arrival, *ends, budget
+    first = np.zeros(len(goals) + 1, np.int64)
+    expanded, least, cells = _compiled_search()(
+        plain(graph), tuple(space.heap), tuple(lists), space.cost, space.arrival, first, *ends, budget
     )
-    return Found(cost=lists.cost, entry=lists.entry, cells=cells, first=first, expanded=int(expanded))
+    cost, entry = lists.cost[lists.alias], lists.entry[lists.alias]
+    unproven = cost + lists.heuristic > least  # where the budget ended the search, an open cell may improve them still
+    cost[unproven], entry[unproven] = np.inf, NO_ENTRY
+    return Found(cost=cost, entry=entry, cells=cells, first=first, expanded=int(expanded))
 
 
 def warmup() -> None:
@@ -85,20 +89,24 @@ def warmup() -> None:
 
 
 @functools.cache
-def _compiled_search() -> Callable[..., tuple[int, np.ndarray, np.ndarray]]:
+def _compiled_search() -> Callable[..., tuple[int, float, np.ndarray]]:
     version = source_digest()
 
     @entry_point
-    def entry(graph, heap, goals, cost, arrival, start, centre, budget):  # type: ignore[no-untyped-def]
-        """Name the parts of the plain tuples and search; returns the number of settled cells and all paths."""
+    def entry(graph, heap, goals, cost, arrival, first, start, centre, budget):  # type: ignore[no-untyped-def]
+        """Name the parts of the plain tuples and search; returns the number of settled cells, the least f of those that
+        are open, and the cells of all paths."""
         _ = version
         moves, components, frame, fine, fine_frame = graph
         graph = Graph(moves, components, Frame(*frame), fine, Frame(*fine_frame))
         heap, goals = Heap(*heap), Goals(*goals)
         expanded = _settle_all(graph, heap, goals, cost, arrival, start, centre, budget)
-        cells, first = collect_paths(graph.frame, goals, arrival)
+        least = heap.keys[1] if heap.size[0] > 0 else np.inf
+        collect_paths(graph.frame, goals, arrival, first, np.empty(0, np.int32))
+        cells = np.empty(first[-1], np.int32)
+        collect_paths(graph.frame, goals, arrival, first, cells)
         clean_up(graph.frame, heap, goals, expanded)
-        return expanded, cells, first
+        return expanded, least, cells
 
     return entry  # type: ignore[no-any-return]
 
@@ -121,8 +129,6 @@ def _settle_all(graph, heap, goals, cost, arrival, start, centre, budget):  # ty
         _relax(graph, heap, cost, arrival, cell, centre)
         if expanded % _RECHECK == 0:
             bound = _bound(goals)
-    _forget_unproven(goals, heap.keys[1] if heap.size[0] > 0 else np.inf)
-    _share_with_aliases(goals)
     return expanded
 
 
@@ -177,23 +183,21 @@ def _drop_unreachable(graph, heap, goals):  # type: ignore[no-untyped-def]
     for k in range(len(goals.points)):
         if not goals.wanted[k]:
             continue
-        i, j, m = cell_of(graph.frame, at(goals.points, k))
-        reachable = goals.entry[k] == DIRECT or _is_open_component(graph, heap, flat(graph.frame, i, j, m))
-        if not reachable:
-            reachable = _sees_open_component(graph, heap, i, j, m, at(goals.points, k))
+        reachable = goals.entry[k] == DIRECT or _touches_open_component(graph, heap, at(goals.points, k))
         goals.wanted[k] = reachable
         remaining += reachable
     return remaining
 
 
 @inner
-def _sees_open_component(graph, heap, i, j, m, goal):  # type: ignore[no-untyped-def]
-    """Whether a goal in cell (i, j, m) is in sight of a neighbour that is connected to the start."""
+def _touches_open_component(graph, heap, goal):  # type: ignore[no-untyped-def]
+    """Whether a goal's own cell (26), or one around it that the goal is in sight of, is connected to the start."""
+    i, j, m = cell_of(graph.frame, goal)
     for number in range(27):
-        cell = neighbour(graph.frame, i, j, m, number)
+        cell = neighbour(graph.frame, i, j, m, 26 - number)
         if cell >= 0 and _is_open_component(graph, heap, cell):
             middle = centre_of(graph.frame, *indices(graph.frame, cell))
-            if sees(graph.fine, graph.fine_frame, middle, goal):
+            if number == 0 or sees(graph.fine, graph.fine_frame, middle, goal):
                 return True
     return False
 
@@ -254,21 +258,6 @@ def _bound(goals):  # type: ignore[no-untyped-def]
     """No cell of at least this f can improve a goal."""
     bound = 0.0
     for k in range(len(goals.points)):
-        if goals.wanted[k]:
-            bound = max(bound, goals.cost[k] + goals.heuristic[k])
+        if goals.wanted[k] and goals.cost[k] + goals.heuristic[k] > bound:
+            bound = goals.cost[k] + goals.heuristic[k]
     return bound
-
-
-@inner
-def _forget_unproven(goals, least):  # type: ignore[no-untyped-def]
-    """Where the budget ended the search, drop what an open cell could still improve; ``least`` is the least open f."""
-    for k in range(len(goals.points)):
-        if goals.entry[k] != NO_ENTRY and goals.cost[k] + goals.heuristic[k] > least:
-            goals.cost[k], goals.entry[k] = np.inf, NO_ENTRY
-
-
-@inner
-def _share_with_aliases(goals):  # type: ignore[no-untyped-def]
-    for k in range(len(goals.points)):
-        goals.cost[k] = goals.cost[goals.alias[k]]
-        goals.entry[k] = goals.entry[goals.alias[k]]

@@ -9,7 +9,10 @@ from jaxplan.search.graph import STEPS
 @inner
 def index(x, origin, h, count):  # type: ignore[no-untyped-def]
     """The cell along one axis; the nearest one for a point on or beyond the lattice's outer faces."""
-    return min(max(math.floor((x - origin) / h), 0), count - 1)
+    cell = math.floor((x - origin) / h)
+    if cell < 0:
+        return 0
+    return cell if cell < count else count - 1
 
 
 @inner

@@ -55,28 +55,19 @@ def _compiled_write() -> Callable[..., None]:
 
 
 @inner
-def collect_paths(frame, goals, arrival):  # type: ignore[no-untyped-def]
-    """The cells of all paths, and where each begins."""
-    first = np.zeros(len(goals.points) + 1, np.int64)
+def collect_paths(frame, goals, arrival, first, cells):  # type: ignore[no-untyped-def]
+    """Where each path begins, into ``first``, which is 0; or, if there are ``cells`` to write to, the cells of all."""
+    writing = len(cells) > 0
     for k in range(len(goals.points)):
-        length, cell = 0, goals.entry[k]
+        length, cell = 0, goals.entry[goals.alias[k]]
         while cell >= 0:
-            length, cell = length + 1, _before(frame, arrival, cell)
-        first[k + 1] = first[k] + length
-    cells = np.empty(first[-1], np.int32)
-    for k in range(len(goals.points)):
-        position, cell = first[k + 1] - 1, goals.entry[k]
-        while cell >= 0:
-            cells[position] = cell
-            position, cell = position - 1, _before(frame, arrival, cell)
-    return cells, first
-
-
-@inner
-def _before(frame, arrival, cell):  # type: ignore[no-untyped-def]
-    """The cell from which one was reached; -1 behind the first after the start."""
-    bit = arrival[cell]
-    return -1 if bit == NO_STEP else cell - flat(frame, STEPS[bit, 0], STEPS[bit, 1], STEPS[bit, 2])
+            length += 1
+            if writing:
+                cells[first[k + 1] - length] = cell
+            bit = arrival[cell]
+            cell = -1 if bit == NO_STEP else cell - flat(frame, STEPS[bit, 0], STEPS[bit, 1], STEPS[bit, 2])
+        if not writing:
+            first[k + 1] = first[k] + length
 
 
 @inner

@@ -20,6 +20,8 @@ NO_ENTRY = -1
 """The goal was not reached."""
 DIRECT = -2
 """The goal is joined to the start by one segment."""
+IF_SEEN = -3
+"""The goal is to be joined to the end of the head by one segment, if that sees it."""
 
 
 class Frame(NamedTuple):
@@ -84,7 +86,13 @@ def permitted_moves(occupied: Bool[np.ndarray, "nx ny nz"]) -> UInt32[np.ndarray
 
 def _both(free: Bool[np.ndarray, "x y z"], axis: int, step: int) -> Bool[np.ndarray, "x y z"]:
     """Where a place and the one a step further are free; the outermost places are not."""
-    return free if step == 0 else free & np.roll(free, -step, axis=axis)
+    if step == 0:
+        return free
+    here, there = [slice(None)] * 3, [slice(None)] * 3
+    here[axis], there[axis] = (slice(-1), slice(1, None))[::step]
+    both = np.zeros_like(free)
+    np.logical_and(free[tuple(here)], free[tuple(there)], out=both[tuple(here)])
+    return both
 
 
 def onward_steps() -> tuple[Int[np.ndarray, "27 26"], Int[np.ndarray, "27"]]:

@@ -76,16 +76,10 @@ def _attempts(lattices: Lattices, first: int, cut_short: set[int]) -> Iterator[t
 
 
 def _find_straight(lattices: Lattices, request: Request) -> None:
-    grid = lattices.levels[0].grid
-    paths = request.paths
-    write_straight(
-        grid.occupied, grid_frame(grid), request.head, request.goals, request.open, paths.points, paths.count
-    )
-    reached = paths.count > 0
-    corners = request.head[:-1], request.head[1:]
-    before = np.linalg.norm(corners[1] - corners[0], axis=1).sum()
-    paths.length[reached] = before + np.linalg.norm(request.goals[reached] - request.head[-1], axis=1)
-    request.open[reached] = False
+    grid, paths = lattices.levels[0].grid, request.paths
+    where = grid.occupied, grid_frame(grid), request.head
+    write_straight(*where, request.goals, request.open, paths.points, paths.count, paths.length)
+    request.open[paths.count > 0] = False
 
 
 def _search_level(lattices: Lattices, level: int, budget: int, request: Request) -> int:

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from jaxplan.search.cells import at, centre_of, distance, indices
 from jaxplan.search.compiled import entry_point, inner, source_digest
 from jaxplan.search.found import Found
-from jaxplan.search.graph import NO_ENTRY, Frame, Graph
+from jaxplan.search.graph import IF_SEEN, NO_ENTRY, Frame, Graph
 from jaxplan.search.lattice import Lattices, Paths, grid_frame
 from jaxplan.search.sight import sees
 
@@ -43,9 +43,13 @@ def write_straight(
     wanted: Bool[np.ndarray, "k"],
     points: Float[np.ndarray, "k capacity 3"],
     count: Int[np.ndarray, "k"],
+    length: Float[np.ndarray, "k"],
 ) -> None:
-    """Write ``head`` and goal as the path of every wanted goal that the end of ``head`` sees."""
-    _compiled_straight()(occupied, tuple(frame), head, goals, wanted, points, count)
+    """Write ``head`` and goal as the path of every wanted goal that the end of ``head`` sees, with its length [m]."""
+    entries = np.where(wanted, IF_SEEN, NO_ENTRY)
+    no_cells = np.empty(0, np.int32), np.zeros(len(goals) + 1, np.int64)
+    path = np.empty((len(head) + 1, 3))
+    _compiled_taut()(tuple(frame), tuple(frame), *no_cells, entries, occupied, head, path, goals, points, count, length)
 
 
 def write_taut(
@@ -63,7 +67,9 @@ def write_taut(
     ``count`` becomes the number of points of the whole path; where that exceeds the capacity the row is its prefix.
     """
     frames = tuple(graph.frame), tuple(graph.fine_frame)
-    _compiled_taut()(*frames, found.cells, found.first, found.entry, occupied, head, goals, points, count, length)
+    path = np.empty((len(head) + int(np.diff(found.first).max(initial=0)) + 1, 3))
+    parts = found.cells, found.first, found.entry
+    _compiled_taut()(*frames, *parts, occupied, head, path, goals, points, count, length)
 
 
 @functools.cache
@@ -85,46 +91,28 @@ def _compiled_shorten() -> Callable[..., None]:
 
 
 @functools.cache
-def _compiled_straight() -> Callable[..., None]:
-    version = source_digest()
-
-    @entry_point
-    def entry(occupied, frame, head, goals, wanted, points, count):  # type: ignore[no-untyped-def]
-        _ = version
-        frame = Frame(*frame)
-        last = len(head)
-        for k in range(len(goals)):
-            if wanted[k] and sees(occupied, frame, at(head, last - 1), at(goals, k)):
-                for i in range(points.shape[1]):
-                    _copy(points[k], i, head if i < last else goals, i if i < last else k)
-                count[k] = last + 1
-
-    return entry  # type: ignore[no-any-return]
-
-
-@functools.cache
 def _compiled_taut() -> Callable[..., None]:
     version = source_digest()
 
     @entry_point
-    def entry(frame, fine, cells, first, entries, occupied, head, goals, points, count, length):  # type: ignore[no-untyped-def]
+    def entry(frame, fine, cells, first, entries, occupied, head, path, goals, points, count, length):  # type: ignore[no-untyped-def]
         _ = version
         frame, fine = Frame(*frame), Frame(*fine)
-        longest = 0
+        end = len(head) - 1
         for k in range(len(goals)):
-            longest = max(longest, first[k + 1] - first[k])
-        path = np.empty((len(head) + longest + 1, 3))
-        for k in range(len(goals)):
-            if entries[k] != NO_ENTRY:
-                last = _unroll(frame, cells, first[k], first[k + 1], head, path)
-                _copy(path, last, goals, k)
-                kept = _pull_taut(path, last + 1, occupied, fine)
-                length[k] = 0.0
-                for i in range(1, kept):
-                    length[k] += distance(at(path, i - 1), at(path, i))
-                for i in range(points.shape[1]):
-                    _copy(points[k], i, path, min(i, kept - 1))
-                count[k] = kept
+            if entries[k] == NO_ENTRY or (
+                entries[k] == IF_SEEN and not sees(occupied, fine, at(head, end), at(goals, k))
+            ):
+                continue
+            last = _unroll(frame, cells, first[k], first[k + 1], head, path)
+            _copy(path, last, goals, k)
+            kept = _pull_taut(path, last + 1, occupied, fine)
+            length[k] = 0.0
+            for i in range(kept - 1):
+                length[k] += distance(at(path, i), at(path, i + 1))
+            for i in range(points.shape[1]):
+                _copy(points[k], i, path, i if i < kept else kept - 1)
+            count[k] = kept
 
     return entry  # type: ignore[no-any-return]
 
@@ -150,9 +138,10 @@ def _unroll(frame, cells, begin, end, head, path):  # type: ignore[no-untyped-de
 @inner
 def _pull_taut(path, count, occupied, frame):  # type: ignore[no-untyped-def]
     """Rewrite the first ``count`` points of one path in place; returns how many are left."""
-    kept, here = 1, 0
-    while here < count - 1:
-        here = _farthest_seen(path, here, count - 1, occupied, frame)
+    last = count - 1
+    kept, here = count - last, last - last  # 1 and 0: numba compiles calls with constants a second time
+    while here < last:
+        here = _farthest_seen(path, here, last, occupied, frame)
         _copy(path, kept, path, here)
         kept += 1
     return kept
@@ -164,7 +153,7 @@ def _farthest_seen(path, here, last, occupied, frame):  # type: ignore[no-untype
     seen, step = here + 1, 2
     hidden = last + 1
     while seen < last:
-        trial = min(here + step, last)
+        trial = here + step if here + step < last else last
         if not sees(occupied, frame, at(path, here), at(path, trial)):
             hidden = trial
             break

@@ -7,7 +7,7 @@ colour of a block, are ignored.
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -21,9 +21,9 @@ MAX_BLOCKS = 10_000
 _SCHEMA = '{"bounds": {"extents": [x0, x1, y0, y1, z0, z1]}, "blocks": [{"extents": [...]}, ...]}'
 
 
-def load_box_json(path: Path, data: bytes) -> World:
-    """The world of a rotorpy JSON file, whose bytes are ``data``."""
-    tree = _parse(path, data)
+def load_box_json(path: Path, stream: IO[bytes]) -> World:
+    """The world of a rotorpy JSON file."""
+    tree = _parse(path, stream.read())
     if not isinstance(tree, dict) or "bounds" not in tree or not isinstance(tree.get("blocks", []), list):
         raise FileError(f"{path}: have JSON that is not a box world, want {_SCHEMA}; see rotorpy's worlds")
     blocks = tree.get("blocks", [])

@@ -20,17 +20,17 @@ import json, resource, sys
 resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]), int(sys.argv[1])))
 resource.setrlimit(resource.RLIMIT_CPU, (int(sys.argv[2]), int(sys.argv[2])))
 import mujoco
-text, assets = json.load(sys.stdin)
+text, meshes = json.load(sys.stdin)
 try:
-    mujoco.MjModel.from_xml_string(text, {name: data.encode("latin-1") for name, data in assets.items()})
+    mujoco.MjModel.from_xml_string(text, {name: open(file, "rb").read() for name, file in meshes.items()})
 except (ValueError, MemoryError) as error:
     print(" ".join(str(error).split())[:300])
 """
 
 
-def probe_mjcf(path: Path, text: str, assets: dict[str, bytes]) -> None:
-    """Raise ``FileError`` unless MuJoCo compiles the text within limits; ``assets`` are the mesh files it names."""
-    message = json.dumps([text, {name: data.decode("latin-1") for name, data in assets.items()}])
+def probe_mjcf(path: Path, text: str, meshes: dict[str, Path]) -> None:
+    """Raise ``FileError`` unless MuJoCo compiles the text within limits; ``meshes`` are the files it names."""
+    message = json.dumps([text, {name: str(file.resolve()) for name, file in meshes.items()}])
     command = [sys.executable, "-I", "-c", _CHILD, str(MEMORY), str(SECONDS)]
     try:
         child = subprocess.run(command, input=message, capture_output=True, text=True, timeout=2 * SECONDS, check=False)

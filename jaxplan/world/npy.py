@@ -1,13 +1,19 @@
 """NumPy's array format, read with suspicion: the header first, no more bytes than it may ask for, no objects."""
 
+import io
 import zipfile
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
 import numpy as np
 
 from jaxplan.errors import FileError
+from jaxplan.world.streams import table_blocks
+
+_LONGEST_HEADER = 10_000
+"""Bytes, as in NumPy, which however reads a longer one before it refuses it."""
 
 
 def array_header(path: Path, stream: IO[bytes], name: str) -> tuple[tuple[int, ...], np.dtype]:
@@ -15,7 +21,10 @@ def array_header(path: Path, stream: IO[bytes], name: str) -> tuple[tuple[int, .
     try:
         version = np.lib.format.read_magic(stream)
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, fortran, dtype = read(stream)
+        size = stream.read(2 if version == (1, 0) else 4)
+        if int.from_bytes(size, "little") > _LONGEST_HEADER:
+            raise ValueError(f"a header of {int.from_bytes(size, 'little')} bytes")
+        shape, fortran, dtype = read(io.BytesIO(size + stream.read(int.from_bytes(size, "little"))))
     except (ValueError, EOFError, SyntaxError, zipfile.BadZipFile, zlib.error, RecursionError) as error:
         reason = " ".join(str(error).split())[:120]
         raise FileError(f"{path}: {name} is no NumPy array ({reason}), want one written by numpy.save") from error
@@ -26,13 +35,9 @@ def array_header(path: Path, stream: IO[bytes], name: str) -> tuple[tuple[int, .
     return tuple(int(n) for n in shape), dtype
 
 
-def read_array(path: Path, stream: IO[bytes], shape: tuple[int, ...], dtype: np.dtype, name: str) -> np.ndarray:
-    """The array behind a header, whose size the caller has checked."""
-    wanted = int(np.prod(shape, dtype=float)) * dtype.itemsize
+def array_blocks(path: Path, stream: IO[bytes], dtype: np.dtype, rows: int, name: str) -> Iterator[np.ndarray]:
+    """The ``rows`` entries behind a header, whose size the caller has checked, a block at a time."""
     try:
-        data = stream.read(wanted)
+        yield from table_blocks(path, stream, dtype, rows, name)
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as error:
         raise FileError(f"{path}: {name} is damaged ({error}); write it again") from error
-    if len(data) != wanted:
-        raise FileError(f"{path}: {name} ends after {len(data)} bytes, want {wanted}; the file is truncated")
-    return np.frombuffer(data, dtype=dtype).reshape(shape)

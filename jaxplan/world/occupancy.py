@@ -14,6 +14,7 @@ Which cells are occupied:
 import itertools
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -114,6 +115,9 @@ def padded_cells(
     """
     count = int(np.prod(shape))
     padded = np.empty(count, dtype=bool)
+    obstacles = jax.tree.map(
+        lambda a: jnp.asarray(a) if np.size(a) > CHUNK else a, obstacles
+    )  # one copy, not one a chunk
     for begin in range(0, count, CHUNK):
         index = np.minimum(np.arange(begin, begin + CHUNK), count - 1)
         cells = np.stack(np.unravel_index(index, shape), axis=-1) + np.asarray(first)

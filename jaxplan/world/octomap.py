@@ -7,8 +7,9 @@ occupied: a vehicle must not fly where a wall may be.
 """
 
 import re
+from array import array
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 import numpy as np
 from jaxtyping import Int
@@ -21,6 +22,8 @@ DEPTH = 16
 _HEADER = re.compile(rb"\A# Octomap OcTree binary file\s*\n(?:[^\n]*\n){0,64}?data\s?\n")
 _FREE, _OCCUPIED, _INNER = 1, 2, 3
 _MAX_HEADER = 4096
+MAX_LEAVES = 2**21
+"""16 MB while they are read; arbitrary, four times a building of 39 x 15 m at 5 cm."""
 
 
 class _Leaves(NamedTuple):
@@ -31,14 +34,16 @@ class _Leaves(NamedTuple):
     occupied: np.ndarray
 
 
-def load_octomap(path: Path, data: bytes) -> World:
-    """The world of an OctoMap binary tree, whose bytes are ``data``; unknown cells are occupied."""
-    resolution, body = _header(path, data)
+def load_octomap(path: Path, stream: IO[bytes]) -> World:
+    """The world of an OctoMap binary tree; unknown cells are occupied."""
+    resolution, body = _header(path, stream.read())
     leaves = _read_tree(path, body)
-    first, last = leaves.corner.min(axis=0), (leaves.corner + leaves.side[:, None]).max(axis=0)
+    sides = np.unique(leaves.side)
+    first = leaves.corner.min(axis=0).astype(int)
+    last = np.max([leaves.corner[leaves.side == side].max(axis=0).astype(int) + int(side) for side in sides], axis=0)
     check_cells(path, (last - first).astype(float), resolution)
     occupied = np.ones(tuple(last - first), dtype=bool)
-    for side in np.unique(leaves.side):
+    for side in sides:
         chosen = ~leaves.occupied & (leaves.side == side)
         _clear(occupied, leaves.corner[chosen] - first, int(side))
     origin = (first - 2 ** (DEPTH - 1)) * resolution
@@ -58,7 +63,7 @@ def _clear(occupied: np.ndarray, corner: Int[np.ndarray, "n 3"], side: int) -> N
                 occupied[corner[:, 0] + i, corner[:, 1] + j, corner[:, 2] + k] = False
 
 
-def _header(path: Path, data: bytes) -> tuple[float, bytes]:
+def _header(path: Path, data: bytes) -> tuple[float, memoryview]:
     """Side of the smallest cells [m], and the bytes of the tree."""
     match = _HEADER.match(data[:_MAX_HEADER])
     fields = dict(re.findall(rb"^(id|res|size) +(\S+)\s*$", match.group(), re.MULTILINE)) if match else {}
@@ -71,12 +76,12 @@ def _header(path: Path, data: bytes) -> tuple[float, bytes]:
             f"{path}: have no OctoMap binary header, want '# Octomap OcTree binary file', 'id OcTree', "
             "'res METRES' and 'data' lines; write it with writeBinary"
         )
-    return resolution, data[match.end() :]
+    return resolution, memoryview(data)[match.end() :]
 
 
-def _read_tree(path: Path, body: bytes) -> _Leaves:
+def _read_tree(path: Path, body: memoryview) -> _Leaves:
     """All known leaves, by one pass over the nodes."""
-    corners, sides, states = [], [], []
+    corners, sides, states = array("H"), array("H"), array("B")
     stack, position, end = [(0, 0, 0, 2**DEPTH)], 0, len(body)
     while stack:
         x, y, z, side = stack.pop()
@@ -94,11 +99,14 @@ def _read_tree(path: Path, body: bytes) -> _Leaves:
             if state == _INNER:
                 inner.append((*corner, half))
             else:
-                corners.append(corner)
+                corners.extend(corner)
                 sides.append(half)
                 states.append(state)
+        if len(sides) > MAX_LEAVES:
+            raise FileError(f"{path}: have more than {MAX_LEAVES} known leaves; prune the map, or make it coarser")
         stack.extend(reversed(inner))
     if position != end or not corners:
         what = f"{end - position} bytes after the tree" if corners else "no known cell"
         raise FileError(f"{path}: the OctoMap has {what}, want one whole tree; write it again")
-    return _Leaves(np.array(corners), np.array(sides), np.array(states) == _OCCUPIED)
+    leaves = np.frombuffer(corners, np.uint16).reshape(-1, 3), np.frombuffer(sides, np.uint16)
+    return _Leaves(*leaves, np.frombuffer(states, np.uint8) == _OCCUPIED)

@@ -1,19 +1,28 @@
 """PLY files (ASCII and binary): vertex positions and faces. Sizes are checked against the file before allocation."""
 
 import itertools
+import struct
+from array import array
+from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from jaxplan.errors import FileError
+from jaxplan.world.streams import lines, remaining, table_blocks
 
 _TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
 _TYPES |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"}
 _TYPES |= {"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"}
+_CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
 _ENDS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _MAX_HEADER = 2**16
+_LONGEST_LIST = 2**12
+"""Values of one list, such as the corners of a polygon; arbitrary."""
+_ROWS = 2**13
+"""Rows of text that are read at once."""
 
 
 class _Element(NamedTuple):
@@ -24,96 +33,141 @@ class _Element(NamedTuple):
     properties: dict[str, tuple[str, str]]
     """By name, in order: the type of a list's length ("" for a single number), and the type of the values."""
 
-
-def read_ply(path: Path, data: bytes) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
-    """Vertices [m] and triangles (polygons become fans; none for a point cloud)."""
-    order, elements, body = _header(path, data)
-    vertices, faces = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
-    position: int = 0
-    words = body.split() if order == "" else []
-    for element in elements:
-        try:
-            if any(length for length, _ in element.properties.values()):
-                polygons, position = _lists(element, order, words or body, position)
-                faces = polygons if element.name == "face" else faces
-            else:
-                table, position = _table(element, order, words or body, position)
-                vertices = table if element.name == "vertex" else vertices
-        except (ValueError, IndexError, KeyError, OverflowError) as error:
-            reason = " ".join(str(error).split())[:120]
-            raise FileError(f"{path}: element {element.name!r} cannot be read ({reason}); export it again") from error
-    return vertices, faces
+    @property
+    def has_lists(self) -> bool:
+        return any(length for length, _ in self.properties.values())
 
 
-def _header(path: Path, data: bytes) -> tuple[str, list[_Element], bytes]:
-    end = data.find(b"end_header", 0, _MAX_HEADER)
-    lines = [line.split() for line in data[: max(end, 0)].decode("latin-1").splitlines()]
-    formats = [words[1] for words in lines if len(words) == 3 and words[0] == "format" and words[1] in _ENDS]
-    if not data.startswith(b"ply") or end < 0 or not formats:
+class Ply(NamedTuple):
+    """A PLY file whose header was read."""
+
+    path: Path
+    stream: IO[bytes]
+    order: str
+    """"<" or ">", the order of bytes; "" for text."""
+    elements: list[_Element]
+    begin: int
+    """Where the body begins in ``stream``."""
+
+    def rows(self, name: str) -> int:
+        """Rows of the elements of that name; 0 if there are none."""
+        return sum(element.rows for element in self.elements if element.name == name)
+
+
+def open_ply(path: Path, stream: IO[bytes]) -> Ply:
+    """The header of a PLY file: no more than its size is known of the body."""
+    head = stream.read(_MAX_HEADER)
+    end = head.find(b"end_header")
+    words = [line.split() for line in head[: max(end, 0)].decode("latin-1").splitlines()]
+    formats = [line[1] for line in words if len(line) == 3 and line[0] == "format" and line[1] in _ENDS]
+    if not head.startswith(b"ply") or end < 0 or not formats:
         raise FileError(f"{path}: have no PLY header, want 'ply', a format and 'end_header'; export it again")
     elements: list[_Element] = []
     try:
-        for words in lines:
-            if words[:1] == ["element"]:
-                elements.append(_Element(words[1], int(words[2]), {}))
-            elif words[:2] == ["property", "list"]:
-                elements[-1].properties[words[4]] = (_TYPES[words[2]], _TYPES[words[3]])
-            elif words[:1] == ["property"]:
-                elements[-1].properties[words[2]] = ("", _TYPES[words[1]])
+        for line in words:
+            if line[:1] == ["element"]:
+                elements.append(_Element(line[1], int(line[2]), {}))
+            elif line[:2] == ["property", "list"]:
+                elements[-1].properties[line[4]] = (_TYPES[line[2]], _TYPES[line[3]])
+            elif line[:1] == ["property"]:
+                elements[-1].properties[line[2]] = ("", _TYPES[line[1]])
     except (ValueError, KeyError, IndexError) as error:
         raise FileError(f"{path}: the PLY header cannot be read ({error}); export it again") from error
-    body = data[data.index(b"\n", end) + 1 :] if b"\n" in data[end:] else b""
+    stream.seek(end)
+    stream.readline(_MAX_HEADER)
     for element in elements:
-        if not 0 <= element.rows <= len(body):
+        if not element.properties:
+            raise FileError(f"{path}: element {element.name!r} has no property; export it again")
+        if not 0 <= element.rows <= remaining(stream):
             raise FileError(
-                f"{path}: the header asks for {element.rows:.12g} of {element.name!r} in {len(body)} bytes; "
+                f"{path}: the header asks for {element.rows:.12g} of {element.name!r} in {remaining(stream)} bytes; "
                 "the file is truncated or damaged"
             )
-    return _ENDS[formats[0]], elements, body
+    return Ply(path, stream, _ENDS[formats[0]], elements, stream.tell())
 
 
-def _table(element: _Element, order: str, source: bytes | list[bytes], position: int):  # type: ignore[no-untyped-def]
-    """Positions of an element without lists (0 columns if it has no x, y, z), and where the next one starts."""
+def ply_points(ply: Ply) -> Iterator[Float[np.ndarray, "n 3"]]:
+    """The positions of all vertices [m] from the first on, a block at a time."""
+    for element, found in _walk(ply, most_triangles=0):
+        if element.name == "vertex":
+            yield from found
+
+
+def ply_surface(ply: Ply, most_triangles: int) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
+    """Vertices [m] and triangles, of which there are at most so many; polygons become fans."""
+    vertices, faces = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+    for element, found in _walk(ply, most_triangles):
+        if element.name == "vertex":
+            vertices = np.concatenate([vertices, *found])
+        elif element.name == "face":
+            faces = np.concatenate([faces, *found])
+    return vertices, faces
+
+
+def _walk(ply: Ply, most_triangles: int) -> Iterator[tuple[_Element, Iterator[np.ndarray]]]:
+    """Every element and the blocks read from it; what nobody asks for is passed over."""
+    ply.stream.seek(ply.begin)
+    words = itertools.chain.from_iterable(line.split() for line in lines(ply.path, ply.stream))
+    for element in ply.elements:
+        found = _triangles(ply, element, words, most_triangles) if element.has_lists else _table(ply, element, words)
+        guarded = _guarded(ply, element, found)
+        yield element, guarded
+        for _ in guarded:
+            pass
+
+
+def _guarded(ply: Ply, element: _Element, blocks: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
+    try:
+        yield from blocks
+    except FileError:
+        raise
+    except (ValueError, IndexError, KeyError, OverflowError) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise FileError(f"{ply.path}: element {element.name!r} cannot be read ({reason}); export it again") from error
+
+
+def _table(ply: Ply, element: _Element, words: Iterator[bytes]) -> Iterator[np.ndarray]:
+    """Blocks of positions of an element without lists, (n, 3); (n, 0) if it has no x, y, z."""
     names = list(element.properties)
-    if isinstance(source, list):
-        stop = position + element.rows * len(names)
-        rows = np.array(source[position:stop], dtype=np.float64).reshape(element.rows, len(names))
-        columns = {name: rows[:, i] for i, name in enumerate(names)}
-    else:
-        dtype = np.dtype([(name, order + code) for name, (_, code) in element.properties.items()])
-        stop = position + element.rows * dtype.itemsize
-        table = np.frombuffer(source[position:stop], dtype=dtype)
-        if len(table) != element.rows:
-            raise ValueError("the file is truncated")
-        columns = {name: table[name] for name in names}
-    if element.name != "vertex":
-        return np.zeros((0, 3)), stop
-    return np.stack([columns[axis].astype(np.float64) for axis in "xyz"], axis=1), stop
+    axes = [name for name in "xyz" if element.name == "vertex"]
+    if ply.order == "":
+        columns = [names.index(axis) for axis in axes]
+        for first in range(0, element.rows, _ROWS):
+            rows = min(_ROWS, element.rows - first)
+            block = np.array(list(itertools.islice(words, rows * len(names))), dtype=np.float64)
+            if block.size != rows * len(names):
+                raise ValueError("the file is truncated")
+            yield block.reshape(rows, len(names))[:, columns]
+        return
+    dtype = np.dtype([(name, ply.order + code) for name, (_, code) in element.properties.items()])
+    for table in table_blocks(ply.path, ply.stream, dtype, element.rows, f"element {element.name!r}"):
+        yield np.array([table[axis] for axis in axes], np.float64).reshape(len(axes), len(table)).T
 
 
-def _lists(element: _Element, order: str, source: bytes | list[bytes], position: int):  # type: ignore[no-untyped-def]
-    """Triangles of an element with lists, and where the next element starts; row by row, as rows differ in length."""
-    triangles: list[tuple[int, int, int]] = []
+def _triangles(ply: Ply, element: _Element, words: Iterator[bytes], most: int) -> Iterator[np.ndarray]:
+    """The triangles of an element with lists, (n, 3), in one block; row by row, as rows differ in length."""
+    triangles = array("q")
     for _ in range(element.rows):
         for name, (length_code, code) in element.properties.items():
-            length: float = 1
-            if length_code:
-                length, position = _number(source, position, order, length_code)
-            values = []
-            if not 0 <= length <= len(source):
-                raise ValueError("a list is longer than the file")
-            for _ in range(int(length)):
-                value, position = _number(source, position, order, code)
-                values.append(int(value))
-            if name in ("vertex_indices", "vertex_index"):
-                triangles += [(values[0], b, c) for b, c in itertools.pairwise(values[1:])]
-    return np.array(triangles, dtype=np.int64).reshape(-1, 3), position
+            length = int(_numbers(ply, words, length_code, 1)[0]) if length_code else 1
+            if not 0 <= length <= _LONGEST_LIST:
+                raise ValueError(f"a list of {length} values, want at most {_LONGEST_LIST}")
+            values = _numbers(ply, words, code, length)
+            if element.name == "face" and name in ("vertex_indices", "vertex_index"):
+                for b, c in itertools.pairwise(values[1:]):
+                    triangles.extend((int(values[0]), int(b), int(c)))
+        if len(triangles) > 3 * most > 0:
+            raise ValueError(f"more than {most} triangles")
+    yield np.array(triangles, dtype=np.int64).reshape(-1, 3)
 
 
-def _number(source: bytes | list[bytes], position: int, order: str, code: str) -> tuple[float, int]:
-    if isinstance(source, list):
-        return float(source[position]), position + 1
-    size = int(code[1])
-    if position + size > len(source):
+def _numbers(ply: Ply, words: Iterator[bytes], code: str, count: int) -> tuple[float, ...]:
+    """The next numbers of the body."""
+    if ply.order == "":
+        found = tuple(float(word) for word in itertools.islice(words, count))
+    else:
+        data = ply.stream.read(count * int(code[1]))
+        found = struct.unpack(f"{ply.order}{count}{_CODES[code]}", data) if len(data) == count * int(code[1]) else ()
+    if len(found) != count:
         raise ValueError("the file is truncated")
-    return np.frombuffer(source, order + code, 1, position)[0], position + size
+    return found

@@ -5,19 +5,27 @@ most the truth, and below it by at most a cell's diagonal more than the grid's o
 The room is the box around the points.
 """
 
-import io
+import itertools
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxplan.errors import FileError
-from jaxplan.world.npy import array_header, read_array
+from jaxplan.world.npy import array_blocks, array_header
 from jaxplan.world.obstacles import World
+from jaxplan.world.streams import lines, remaining, table_blocks
 from jaxplan.world.voxels import MAX_CELLS, SPACING, check_cells, voxel_world
 
 MAX_POINTS = 5_000_000
 """Arbitrary."""
+MAX_COMPRESSED = 16 * 2**20
+"""Bytes of compressed points, before and after: they are decompressed at once; arbitrary, about a million points."""
+_MAX_COLUMNS = 1024
+_LINES = 2**13
+"""Lines of text that are read at once."""
 _TYPES = {("F", "4"): "<f4", ("F", "8"): "<f8", ("U", "1"): "<u1", ("U", "2"): "<u2", ("U", "4"): "<u4"} | {
     ("I", "1"): "<i1", ("I", "2"): "<i2", ("I", "4"): "<i4", ("I", "8"): "<i8", ("U", "8"): "<u8"
 }  # fmt: skip
@@ -26,34 +34,43 @@ COARSEST = 0.4
 """Largest cell [m] of a cloud; arbitrary, a little less than the padding."""
 
 
-def load_npy(path: Path, data: bytes) -> World:
-    """The world of an ``.npy`` file of points, whose bytes are ``data``."""
-    stream = io.BytesIO(data)
+def load_npy(path: Path, stream: IO[bytes]) -> World:
+    """The world of an ``.npy`` file of points."""
     shape, dtype = array_header(path, stream, "the file")
-    if len(shape) != 2 or shape[1] < 3 or dtype.kind not in "fiu":
+    if len(shape) != 2 or not 3 <= shape[1] <= _MAX_COLUMNS or dtype.kind not in "fiu":
         raise FileError(f"{path}: have {dtype} of shape {shape}, want numbers of shape (n, 3): x, y, z in metres")
     check_count(path, shape[0])
-    return point_world(path, "NumPy points", read_array(path, stream, shape, dtype, "the file")[:, :3])
+    begin, row = stream.tell(), np.dtype((dtype, (shape[1],)))
+
+    def blocks() -> Iterator[np.ndarray]:
+        stream.seek(begin)
+        for block in array_blocks(path, stream, row, shape[0], "the file"):
+            yield block[:, :3]
+
+    return point_world(path, "NumPy points", blocks)
 
 
-def load_pcd(path: Path, data: bytes) -> World:
-    """The world of a PCD file, whose bytes are ``data``."""
-    header, body = _pcd_header(path, data)
-    count = int(header["POINTS"][0])
+def load_pcd(path: Path, stream: IO[bytes]) -> World:
+    """The world of a PCD file."""
+    header = _pcd_header(path, stream)
+    count, kind = int(header["POINTS"][0]), header["DATA"][0]
     check_count(path, count)
     dtype = np.dtype([(f"{i}", _TYPES[kind], (n,)) for i, (kind, n) in enumerate(_pcd_columns(path, header))])
-    kind = header["DATA"][0]
-    if kind == "ascii":
-        points = _pcd_ascii(path, header, body, count)
-    else:
-        if kind == "binary_compressed":
-            body = _by_point(path, _decompress(path, body, count * dtype.itemsize), dtype, count)
-        if len(body) < count * dtype.itemsize:
-            want = count * dtype.itemsize
-            raise FileError(f"{path}: have {len(body)} bytes of points, want {want}; the file is truncated")
-        table = np.frombuffer(body, dtype=dtype, count=count)
-        points = np.stack([table[str(header["FIELDS"].index(axis))][:, 0] for axis in "xyz"], axis=1)
-    return point_world(path, f"PCD points, {kind}", points)
+    axes = [str(header["FIELDS"].index(axis)) for axis in "xyz"]
+    begin = stream.tell()
+    if kind == "binary_compressed":
+        columns = _decompressed_columns(path, stream, dtype, count, axes)
+        return point_world(path, f"PCD points, {kind}", lambda: iter((np.stack(columns, axis=1),)))
+
+    def blocks() -> Iterator[np.ndarray]:
+        stream.seek(begin)
+        if kind == "ascii":
+            yield from _pcd_ascii(path, header, stream, count)
+            return
+        for table in table_blocks(path, stream, dtype, count, "the table of points"):
+            yield np.stack([table[axis][:, 0] for axis in axes], axis=1)
+
+    return point_world(path, f"PCD points, {kind}", blocks)
 
 
 def check_count(path: Path, count: int) -> None:
@@ -61,41 +78,50 @@ def check_count(path: Path, count: int) -> None:
         raise FileError(f"{path}: have {count:.12g} points, want 1 to {MAX_POINTS}; thin the cloud")
 
 
-def point_world(path: Path, kind: str, points: Float[np.ndarray, "n 3"]) -> World:
-    """The world of points [m]; those that are not finite (no return of the sensor) are dropped."""
-    points = np.asarray(points, dtype=np.float64)
-    finite = points[np.isfinite(points).all(axis=1)]
-    if not len(finite):
+def point_world(path: Path, kind: str, blocks: Callable[[], Iterator[np.ndarray]]) -> World:
+    """The world of points [m] (n, 3); those that are not finite (no return of the sensor) are dropped.
+
+    ``blocks`` goes through the points from the first on, twice: for their extent, and for the cells that they occupy.
+    """
+    lower, upper, used, total = np.full(3, np.inf), np.full(3, -np.inf), 0, 0
+    for block in blocks():
+        finite = _finite(block)
+        lower = np.minimum(lower, finite.min(axis=0, initial=np.inf))
+        upper = np.maximum(upper, finite.max(axis=0, initial=-np.inf))
+        used, total = used + len(finite), total + len(block)
+    if not used:
         raise FileError(f"{path}: no point is finite, want x, y, z in metres; export the cloud again")
-    lower = finite.min(axis=0)
-    extent = np.minimum(finite.max(axis=0) - lower, 1e9)
+    extent = np.minimum(upper - lower, 1e9)
     spacing = SPACING
     while np.prod(np.floor(extent / spacing) + 1.0) > MAX_CELLS and spacing < COARSEST:
         spacing *= 2.0
     shape = np.floor(extent / spacing) + 1.0
     check_cells(path, shape, spacing)
     occupied = np.zeros(tuple(shape.astype(int)), dtype=bool)
-    occupied[tuple(np.minimum((finite - lower) / spacing, shape - 1).astype(int).T)] = True
-    used = f"{kind}: {len(finite)} used, {len(points) - len(finite)} not finite, cells of {spacing:g} m"
-    return voxel_world(path, used, occupied, lower, spacing, finest=spacing)
+    for block in blocks():
+        occupied[tuple(np.minimum((_finite(block) - lower) / spacing, shape - 1).astype(int).T)] = True
+    read = f"{kind}: {used} used, {total - used} not finite, cells of {spacing:g} m"
+    return voxel_world(path, read, occupied, lower, spacing, finest=spacing)
 
 
-def _pcd_header(path: Path, data: bytes) -> tuple[dict[str, list[str]], bytes]:
-    """The header's lines by key, and the bytes after them."""
+def _finite(block: np.ndarray) -> Float[np.ndarray, "n 3"]:
+    points = np.asarray(block, dtype=np.float64)
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def _pcd_header(path: Path, stream: IO[bytes]) -> dict[str, list[str]]:
+    """The header's lines by key; the points are what follows."""
     header: dict[str, list[str]] = {}
-    position = 0
-    while "DATA" not in header and position < min(len(data), _MAX_HEADER):
-        end = data.find(b"\n", position)
-        line = data[position : end if end >= 0 else len(data)].decode("latin-1").split("#")[0].split()
-        position = end + 1 if end >= 0 else len(data)
-        if line:
-            header[line[0]] = line[1:]
+    while "DATA" not in header and stream.tell() < _MAX_HEADER and (line := stream.readline(_MAX_HEADER)):
+        words = line.decode("latin-1").split("#")[0].split()
+        if words:
+            header[words[0]] = words[1:]
     known = all(header.get(key) for key in ("FIELDS", "SIZE", "TYPE", "POINTS", "DATA"))
     if not known or header["DATA"][0] not in ("ascii", "binary", "binary_compressed"):
         raise FileError(f"{path}: have no PCD header, want FIELDS, SIZE, TYPE, POINTS and DATA lines; export it again")
     if not header["POINTS"][0].isascii() or not header["POINTS"][0].isdigit() or len(header["POINTS"][0]) > 18:
         raise FileError(f"{path}: have POINTS {header['POINTS'][0][:20]!r}, want a whole number; correct it")
-    return header, data[position:]
+    return header
 
 
 def _pcd_columns(path: Path, header: dict[str, list[str]]) -> list[tuple[tuple[str, str], int]]:
@@ -110,38 +136,50 @@ def _pcd_columns(path: Path, header: dict[str, list[str]]) -> list[tuple[tuple[s
     return [(column, int(n)) for column, n in zip(columns, counts, strict=True)]
 
 
-def _pcd_ascii(path: Path, header: dict[str, list[str]], body: bytes, count: int) -> Float[np.ndarray, "n 3"]:
+def _pcd_ascii(
+    path: Path, header: dict[str, list[str]], stream: IO[bytes], count: int
+) -> Iterator[Float[np.ndarray, "n 3"]]:
     widths = [n for _, n in _pcd_columns(path, header)]
     starts = np.cumsum([0, *widths])
-    try:
-        columns = [int(starts[header["FIELDS"].index(axis)]) for axis in "xyz"]
-        points = np.loadtxt(io.BytesIO(body), usecols=columns, max_rows=count, ndmin=2)
-    except (ValueError, IndexError) as error:
-        raise FileError(f"{path}: a line of points cannot be read ({' '.join(str(error).split())[:120]})") from error
-    if len(points) != count:
-        raise FileError(f"{path}: have {len(points)} lines of points, want {count}; the file is truncated")
-    return points
+    columns = [int(starts[header["FIELDS"].index(axis)]) for axis in "xyz"]
+    filled = (line for line in lines(path, stream) if line.split(b"#")[0].strip())
+    for first in range(0, count, _LINES):
+        wanted = min(_LINES, count - first)
+        block = list(itertools.islice(filled, wanted))
+        if len(block) < wanted:
+            raise FileError(f"{path}: have {first + len(block)} lines of points, want {count}; the file is truncated")
+        try:
+            yield np.loadtxt(block, usecols=columns, ndmin=2)
+        except (ValueError, IndexError) as error:
+            reason = " ".join(str(error).split())[:120]
+            raise FileError(f"{path}: a line of points cannot be read ({reason}); export the cloud again") from error
 
 
-def _by_point(path: Path, data: bytes, dtype: np.dtype, count: int) -> bytes:
-    """Compressed files hold field after field; put them point by point."""
-    table, position = np.empty(count, dtype), 0
+def _decompressed_columns(
+    path: Path, stream: IO[bytes], dtype: np.dtype, count: int, axes: list[str]
+) -> list[Float[np.ndarray, "n"]]:
+    """x, y and z of a compressed file, which holds field after field."""
+    wanted, sizes = count * dtype.itemsize, stream.read(8)
+    packed = int.from_bytes(sizes[:4], "little")
+    if len(sizes) < 8 or int.from_bytes(sizes[4:], "little") != wanted or remaining(stream) < packed:
+        raise FileError(f"{path}: the compressed points are damaged, want {wanted} bytes; export it again")
+    if max(wanted, packed) > MAX_COMPRESSED:
+        raise FileError(
+            f"{path}: have {packed} compressed bytes of {wanted}, want at most {MAX_COMPRESSED}; save it as binary"
+        )
+    data, columns, position = _decompress(path, stream.read(packed), wanted), {}, 0
     for name in dtype.names or ():
-        size = count * dtype[name].itemsize
-        table[name] = np.frombuffer(data[position : position + size], dtype[name].base).reshape(table[name].shape)
-        position += size
-    return table.tobytes()
+        values = count * int(np.prod(dtype[name].shape))
+        columns[name] = np.frombuffer(data, dtype[name].base, values, position).reshape(count, -1)[:, 0]
+        position += count * dtype[name].itemsize
+    return [columns[axis] for axis in axes]
 
 
-def _decompress(path: Path, body: bytes, wanted: int) -> bytes:
-    """LZF: runs of literals and copies of earlier output, behind two little-endian sizes of 4 bytes."""
-    packed = int.from_bytes(body[:4], "little")
-    stated = int.from_bytes(body[4:8], "little")
-    source, out, i = body[8 : 8 + packed], bytearray(), 0
+def _decompress(path: Path, source: bytes, wanted: int) -> bytearray:
+    """LZF: runs of literals and copies of earlier output."""
+    out, i = bytearray(), 0
     try:
-        if stated != wanted or len(source) != packed:
-            raise IndexError
-        while i < packed and len(out) <= wanted:
+        while i < len(source) and len(out) <= wanted:
             control = source[i]
             i += 1
             if control < 32:
@@ -161,4 +199,4 @@ def _decompress(path: Path, body: bytes, wanted: int) -> bytes:
             raise IndexError
     except IndexError as error:
         raise FileError(f"{path}: the compressed points are damaged, want {wanted} bytes; export it again") from error
-    return bytes(out)
+    return out

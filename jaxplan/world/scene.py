@@ -5,10 +5,10 @@ geoms it holds a box site "room" (the room's faces), optionally a site "start" a
 with contype = conaffinity = 0 collide with nothing: they are decoration, and no obstacles.
 """
 
-import os
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
+from typing import IO
 
 import mujoco
 import numpy as np
@@ -41,9 +41,12 @@ __all__ = ["ENVIRONMENTS", "World", "environment_path", "load_world"]
 ENVIRONMENTS = ("env1", "env2", "env3")
 """Names of the stored worlds."""
 
-_MAX_BYTES = {".xml": 4 * 2**20, ".json": 16 * 2**20, ".bt": 16 * 2**20}
+_MAX_BYTES = {".xml": 4 * 2**20, ".json": 2 * 2**20, ".bt": 16 * 2**20}
 _MAX_BYTES |= dict.fromkeys((".stl", ".obj", ".ply", ".pcd", ".npy", ".npz"), 128 * 2**20)
-"""Largest file per ending; arbitrary, far above any room."""
+"""Largest file per ending; arbitrary, far above any room. The first three are read at once: a few bytes of JSON become
+an object of many."""
+_MAX_MESH_BYTES = 16 * 2**20
+"""Of all mesh files that an MJCF file names: MuJoCo wants them in memory at once."""
 
 
 def load_world(name_or_path: str | Path) -> World:
@@ -77,31 +80,33 @@ def environment_path(name: str) -> Path:
 
 def _load_file(path: Path) -> World:
     ending = path.suffix.lower()
-    return _READERS[ending](path, _read_bytes(path, _MAX_BYTES[ending]))
+    limit = _MAX_BYTES[ending]
+    if _size(path) > limit:  # before any of it takes memory
+        raise FileError(f"{path}: have more than {limit} bytes, want a map of at most that; simplify it")
+    try:
+        with path.open("rb") as stream:
+            return _READERS[ending](path, stream)
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
 
 
-def _read_bytes(path: Path, limit: int) -> bytes:
-    """The whole of a regular file of bounded size."""
+def _size(path: Path) -> int:
+    """Bytes of a regular file."""
     if not path.is_file():
         have = "no such file" if not path.exists() else "something that is not a file"
         raise FileError(f"{path}: {have}, want a readable map; check the path")
-    try:
-        with path.open("rb") as stream:
-            too_large = os.fstat(stream.fileno()).st_size > limit  # before any of it takes memory
-            data = b"" if too_large else stream.read(limit + 1)
-    except OSError as error:
-        raise FileError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
-    if too_large or len(data) > limit:
-        raise FileError(f"{path}: have more than {limit} bytes, want a map of at most that; simplify it")
-    return data
+    return path.stat().st_size
 
 
-def _load_mjcf(path: Path, data: bytes) -> World:
-    """The world of an MJCF file, whose bytes are ``data``."""
-    scene = check_mjcf(path, data)
-    assets = {name: _read_bytes(path.parent / name, _MAX_BYTES[".stl"]) for name in scene.meshes}
+def _load_mjcf(path: Path, stream: IO[bytes]) -> World:
+    """The world of an MJCF file."""
+    scene = check_mjcf(path, stream.read())
+    meshes = {name: path.parent / name for name in scene.meshes}
+    if sum(_size(file) for file in meshes.values()) > _MAX_MESH_BYTES:
+        raise FileError(f"{path}: its meshes have more than {_MAX_MESH_BYTES} bytes, want at most that; simplify them")
     if path.parent != environment_path(ENVIRONMENTS[0]).parent:
-        probe_mjcf(path, scene.text, assets)
+        probe_mjcf(path, scene.text, meshes)
+    assets = {name: file.read_bytes() for name, file in meshes.items()}
     try:
         model = mujoco.MjModel.from_xml_string(scene.text, assets)
     except ValueError as error:
@@ -195,7 +200,7 @@ def _meshes(path: Path, model: mujoco.MjModel, state: mujoco.MjData, geoms: np.n
     return mesh_with_distances(np.concatenate(vertices), np.concatenate(faces))
 
 
-_READERS: dict[str, Callable[[Path, bytes], World]] = {
+_READERS: dict[str, Callable[[Path, IO[bytes]], World]] = {
     ".xml": _load_mjcf,
     ".stl": load_stl,
     ".obj": load_obj,

@@ -91,16 +91,30 @@ def set_cells(grid: DistanceGrid, lower: np.ndarray, upper: np.ndarray, occupied
     first, last = np.clip(first, 0, shape), np.clip(last, 0, shape)
     cells, squared = np.array(grid.occupied), np.array(grid.squared)
     cells[_window(first, last)] = occupied
-    reach = int(np.ceil(FARTHEST / spacing))
-    low, high = np.maximum(first - 2 * reach, 0), np.minimum(last + 2 * reach, shape)
-    fresh = _squared_distances(cells[_window(low, high)], spacing)
-    inner_low, inner_high = np.maximum(first - reach, 0), np.minimum(last + reach, shape) + 1
-    squared[_window(inner_low, inner_high)] = fresh[_window(inner_low - low, inner_high - low)]
+    if (first < last).all():
+        reach = int(np.ceil(FARTHEST / spacing))
+        low, high = np.maximum(first - reach, 0), np.minimum(last + reach, shape) + 1
+        near = _window(low, high)
+        if occupied:
+            squared[near] = np.minimum(squared[near], _squared_distances_to_box(low, high, first, last, spacing))
+        else:
+            wide_low, wide_high = np.maximum(first - 2 * reach, 0), np.minimum(last + 2 * reach, shape)
+            fresh = _squared_distances(cells[_window(wide_low, wide_high)], spacing)
+            squared[near] = fresh[_window(low - wide_low, high - wide_low)]
     return DistanceGrid(occupied=cells, squared=squared, origin=grid.origin, spacing=grid.spacing)
 
 
 def _window(first: np.ndarray, last: np.ndarray) -> tuple[slice, ...]:
     return tuple(slice(int(a), int(b)) for a, b in zip(first, last, strict=True))
+
+
+def _squared_distances_to_box(
+    low: np.ndarray, high: np.ndarray, first: np.ndarray, last: np.ndarray, spacing: float
+) -> Float[np.ndarray, "mx my mz"]:
+    """[m^2] from the nodes from ``low`` to before ``high`` to the nearest of those from ``first`` to ``last``."""
+    nodes = [np.arange(a, b) for a, b in zip(low, high, strict=True)]
+    steps = [np.maximum(np.maximum(first[i] - nodes[i], nodes[i] - last[i]), 0) ** 2 for i in range(3)]
+    return (steps[0][:, None, None] + steps[1][None, :, None] + steps[2][None, None, :]) * spacing**2
 
 
 def _squared_distances(occupied: Bool[np.ndarray, "nx ny nz"], resolution: float) -> Float[np.ndarray, "mx my mz"]:

@@ -10,6 +10,7 @@ import pytest
 
 import jaxplan
 from jaxplan.errors import InputError
+from jaxplan.minsnap.chunks import PART
 from jaxplan.minsnap.validity import SolveStatus
 from oracles.minsnap_dense import cost_gradient
 
@@ -210,3 +211,20 @@ def test_chunks_of_a_large_batch_equal_small_batches():
     assert whole.cost.shape == (500,)
     np.testing.assert_allclose(whole.cost[300:], part.cost, rtol=1e-12)
     np.testing.assert_allclose(whole.splines.position[..., 300:], part.splines.position, rtol=1e-9, atol=1e-9)
+
+
+def test_parts_of_a_huge_batch_equal_small_batches():
+    """Each of the parts that share the cores, the last one overlapping, arrays of one lane for all, and a bad lane."""
+    lanes = 2 * PART + 100
+    waypoints, durations, _ = random_batch(lanes=lanes, segments=3)
+    durations[0, 700] = np.nan
+    velocity = np.concatenate([np.ones((1, 3)), np.zeros((3, 3))])
+    whole = jaxplan.minimum_snap_batch(waypoints, durations, initial=velocity)
+    assert np.flatnonzero(whole.status).tolist() == [700]
+    for first in (500, 1100, lanes - 200):
+        lane = slice(first, first + 200)
+        part = jaxplan.minimum_snap_batch(waypoints[..., lane], durations[:, lane], initial=velocity)
+        np.testing.assert_allclose(whole.cost[lane], part.cost, rtol=1e-12)
+        np.testing.assert_array_equal(whole.status[lane], part.status)
+        np.testing.assert_array_equal(whole.splines.durations[:, lane], part.splines.durations)
+        np.testing.assert_allclose(whole.splines.position[..., lane], part.splines.position, rtol=1e-9, atol=1e-9)

@@ -179,7 +179,7 @@ def test_threads_agree_with_one_thread(world: World, lattices: Lattices) -> None
 def test_nothing_compiles_after_warm_up(world: World, lattices: Lattices, compilations) -> None:  # type: ignore[no-untyped-def]
     """Padded and blocked starts and goals included, for each world in turn."""
     warmup(lattices, world)
-    entries = [astar._compiled_search(), shorten._compiled_straight(), shorten._compiled_taut()]
+    entries = [astar._compiled_search(), shorten._compiled_taut()]
     signatures = [len(entry.signatures) for entry in entries]
     compilations.count = 0
     goals = np.concatenate([free_goals(lattices, 5, 0), np.random.default_rng(0).uniform(-5, 5, (395, 3))])
@@ -251,7 +251,7 @@ def test_a_changed_helper_is_compiled_anew_although_its_entry_point_is_cached(tm
         return float(subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, check=True).stdout)
 
     assert cost() == 1.0
-    source = tmp_path / "jaxplan" / "search" / "graph.py"
+    source = tmp_path / "jaxplan" / "search" / "cells.py"
     stamp = source.stat()
     text = source.read_text().replace("return math.sqrt((p[0]", "return 2*abs(((p[0]").replace("** 2)\n", "** 2))\n")
     source.write_text(text)

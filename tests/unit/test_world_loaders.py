@@ -132,7 +132,7 @@ def test_compressed_copies_of_earlier_output() -> None:
     packed = bytes([0, 0]) + bytes([7 << 5, 86, 0])
     body = len(packed).to_bytes(4, "little") + (96).to_bytes(4, "little") + packed
     with pytest.raises(FileError, match="span"):  # four points at the origin are no room, but they were read
-        load_pcd(Path("zeros.pcd"), header + body)
+        load_pcd(Path("zeros.pcd"), io.BytesIO(header + body))
 
 
 def test_third_party_cloud(examples: Path) -> None:
