@@ -38,11 +38,11 @@ class MfrlConfig:
     reinforce: ReinforceConfig = ReinforceConfig()
     classifier: ClassifierConfig = ClassifierConfig(steps=200, learning_rate=1e-3)
     """Steps and learning rate of every round but the first."""
-    first_steps: int = 3000
+    first_steps: int = 2000
     """Classifier's steps in the first round, at three times the learning rate."""
     first_labels: int = 12_000
     """Rollouts of the first round, at random."""
-    rounds: int = 40
+    rounds: int = 24
     pool: int = 2048
     """Flights of which each round chooses what to label."""
     chosen: int = 256
@@ -53,7 +53,7 @@ class MfrlConfig:
     """Factors of the policy's durations that are tried."""
     noise: float = 0.05
     """Standard deviation of the logarithm of each duration that is tried."""
-    steps: int = 100
+    steps: int = 120
     """Gradient steps of the policy in each round."""
     batch: int = 256
     seed: int = 0

@@ -33,8 +33,8 @@ class ReinforceConfig:
     bonus: float = 1.0
     ceiling: float = float("inf")
     """Largest gain of time that is rewarded."""
-    learning_rate: float = 1e-4
-    anchor: float = 0.01
+    learning_rate: float = 2e-4
+    anchor: float = 0.003
     """Weight of the divergence from the policy that training began with, both as normal distributions of
     ``deviation`` about the logarithms of the durations."""
     deviation: float = 0.1
