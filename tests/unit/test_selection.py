@@ -106,6 +106,25 @@ def test_nan_is_a_reason_and_stays_in_its_lane(room):
     assert reasons[2] != 0
 
 
+def test_a_probability_decides_instead_of_the_rotor_limits(room):
+    """One flight far beyond the rotors and one at ease, each believed in and doubted; NaN is doubted."""
+    waypoints = np.repeat(np.linspace([-3.0, -3, 0], [-3, 3, 0], 4)[..., None], 5, axis=-1)
+    durations = np.array([0.1, 0.1, 3.0, 3.0, 3.0]) * np.ones((3, 1))
+    chances = jnp.array([0.9, 0.1, 0.9, 0.1, jnp.nan])
+
+    def trace(waypoints, durations, chances):
+        splines = fit(hover(np.array([-3.0, -3, 0])), waypoints, durations, 3.0)
+        return check(splines, waypoints, room, load_vehicle(), CheckConfig(least_probability=0.5), chances)
+
+    with jax.enable_x64(True):
+        margins = jax.jit(trace)(waypoints, durations, chances)
+    doubted = (np.asarray(margins.reasons) & int(Reason.UNTRACKABLE)) != 0
+    assert doubted.tolist() == [False, True, False, True, True]
+    assert not (np.asarray(margins.reasons) & int(Reason.LIMITS)).any()
+    assert (np.asarray(margins.rotor_speed)[:2] < 0.0).all()
+    np.testing.assert_allclose(margins.probability, chances, atol=1e-7)
+
+
 def test_selection_takes_the_best_usable_and_never_a_default():
     assert select(np.array([1.0, 3.0, 2.0]), np.zeros(3, np.uint32)) == 1
     assert select(np.array([1.0, 3.0, 2.0]), np.array([0, 4, 0], np.uint32)) == 2
@@ -115,6 +134,12 @@ def test_selection_takes_the_best_usable_and_never_a_default():
 
 
 def test_configuration_is_checked():
-    for wrong in ({"max_deviation": 0.0}, {"tracking_margin": -1.0}, {"samples_per_segment": 1}):
+    for wrong in (
+        {"max_deviation": 0.0},
+        {"tracking_margin": -1.0},
+        {"samples_per_segment": 1},
+        {"instants": 1},
+        {"least_probability": 1.5},
+    ):
         with pytest.raises(InputError):
             CheckConfig(**wrong)
