@@ -71,8 +71,8 @@ def chosen_policy(name):
     return constant_speed_policy() if name == "no-policy" else load_policy(name)
 
 
-def measure(world, policy, counts, departures, cycles, seed=0):
-    """Rows of one environment."""
+def measure(world, policy, counts, departures, cycles, seed=0, optimiser=True):
+    """Rows of one environment, with those of the optimiser on the same sequences unless it is left out."""
     scenario, kept = recorded_cycles(world, policy, departures)
     rng = np.random.default_rng(seed)
     kept = [kept[place] for place in rng.permutation(len(kept))[:cycles]]
@@ -98,7 +98,7 @@ def measure(world, policy, counts, departures, cycles, seed=0):
             row = {"world": world, "policy": policy, "candidates": count, "stage": stage, "p50_ms": float(p50)}
             row |= {"p99_ms": float(p99), "cycles": len(stages), "warmup_s": warmup}
             rows.append(row | ({"paper_ms": PAPER[stage]} if stage in PAPER and count == 400 else {}))
-    return rows + baseline(scenario, kept)
+    return rows + (baseline(scenario, kept) if optimiser else [])
 
 
 @in_float64

@@ -1,0 +1,13 @@
+"""The experiments by name. Each is the module of that name with underscores, and has an ``EXPERIMENT``."""
+
+NAMES = (
+    "table1",
+    "table2",
+    "alpha-iteration",
+    "scale-factor",
+    "prediction-comparison",
+    "multi-resolution",
+    "environments",
+    "trajectories",
+    "tune-knots",
+)

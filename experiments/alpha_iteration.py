@@ -1,6 +1,6 @@
 """How arrival times are matched: passes of the iteration, growth of the flight time with alpha, and tracking error.
 
-    python -m experiments.alpha_iteration --policy pretrained --out out/alpha_iteration
+    jaxplan experiment alpha-iteration --preset smoke|small|full [--policy NAME]
 
 Sequences from hover and from states in flight, in open space. The left panel compares the paper's fixed point
 alpha <- T_goal / sum pi(p, alpha D) with the safeguarded iteration of ``jaxplan.arrival``, for times 1 to 3 times
@@ -8,18 +8,20 @@ the least. The middle panel shows T(alpha) = alpha sum pi(p, alpha D), which mus
 right one the tracking error of the flights (paper, Fig. 4).
 """
 
+import dataclasses
 import functools
-import json
 from pathlib import Path
 
-import cyclopts
 import jax
 import numpy as np
 
 from jaxplan.arrival import ArrivalConfig, match_arrival
 from jaxplan.arrival import sped_up as sped_up_state
+from jaxplan.errors import InputError
+from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
+from jaxplan.experiment.tables import as_latex, as_markdown
 from jaxplan.numerics import in_float64
-from jaxplan.policy.checkpoint import load_policy
+from jaxplan.policy.checkpoint import load_policy, resolve_policy
 from jaxplan.spline import FlatState
 from jaxplan.tracking.result import TRAINING
 from jaxplan.tracking.track import track
@@ -73,21 +75,36 @@ def safeguarded_errors(policy, queries, goals, config):
     return np.stack(errors), found[1], found[2]
 
 
-app = cyclopts.App(name="alpha_iteration", help=__doc__)
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Config:
+    """Whose times are matched, over how many sequences."""
+
+    policy: str = "pretrained"
+    """A shipped policy or a file."""
+
+    count: int = 400
+    """Sequences."""
+
+    seed: int = 0
+    """Seed of the sequences and of their arrival times."""
+
+    def __post_init__(self) -> None:
+        if self.count < 2 or self.seed < 0:
+            raise InputError(f"--count {self.count} --seed {self.seed}: want at least 2 and at least 0")
 
 
-@app.default
-def main(
-    *, policy: str = "pretrained", count: int = 400, seed: int = 0, out: Path = Path("out/alpha_iteration")
-) -> None:
-    """Write ``alpha_iteration.json`` and ``alpha_iteration.png``."""
-    rng, config, chosen = np.random.default_rng(seed), ArrivalConfig(), load_policy(policy)
-    queries = sequences(chosen, count, rng)
+def items(config: Config) -> list[Item]:
+    return [Item("sequences", config.policy, {})]
+
+
+def evaluate(config: Config, item: Item) -> Row:
+    """All curves of the picture, and the numbers beside it."""
+    rng, limits, chosen = np.random.default_rng(config.seed), ArrivalConfig(), load_policy(config.policy)
+    queries = sequences(chosen, config.count, rng)
     least = policy_durations(chosen, queries).sum(axis=0)
     goals = least * rng.uniform(1.0, 3.0, len(least))
-    ours, calls, reasons = safeguarded_errors(chosen, queries, goals, config)
+    ours, calls, reasons = safeguarded_errors(chosen, queries, goals, limits)
     paper = fixed_point_errors(chosen, queries, goals)
-    errors = {"fixed point (paper)": paper, "safeguarded": np.concatenate([paper[:1], ours])}  # both begin at alpha = 1
     times, tracking = [], []
     fly = build_flights(LabelConfig())
     for alpha in ALPHAS:
@@ -96,27 +113,51 @@ def main(
         error = track(fly(queries, durations)).max_position_error
         tracking.append(np.where(error < 5.0, error, np.nan))  # lost: its error says only how far it fell
     grows = (np.diff(np.stack(times), axis=0) > 0.0).all(axis=0)
-    report = {
-        "command": f"python -m experiments.alpha_iteration --policy {policy} --count {count} --seed {seed}",
+    return {
         "median_passes": float(np.median(calls)),
         "most_passes": int(calls.max()),
         "flagged_share": float(np.mean(reasons > 0)),
-        "paper_converged_share": float(np.mean(errors["fixed point (paper)"][-1] <= config.tolerance)),
+        "paper_converged_share": float(np.mean(paper[-1] <= limits.tolerance)),
         "time_grows_with_alpha_share": float(grows.mean()),
+        "fixed_point": paper,
+        "safeguarded": np.concatenate([paper[:1], ours]),  # both begin at alpha = 1
+        "times": np.stack(times),
+        "tracking": np.stack(tracking),
     }
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "alpha_iteration.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
-    draw_alpha_iteration(
-        errors,
-        ALPHAS,
-        np.stack(times),
-        np.stack(tracking),
-        out / "alpha_iteration.png",
-        tolerance=config.tolerance,
-        limit=TRAINING.position,
+
+
+def report(results: Results) -> Report:
+    row = results.rows[0] or {}
+    curves = {name: np.array(row[name], dtype=float) for name in ("fixed_point", "safeguarded", "times", "tracking")}
+    numbers = {name: value for name, value in row.items() if name not in curves}
+    lines = [[name.replace("_", " "), f"{value:.4g}"] for name, value in numbers.items()]
+    tracking = curves["tracking"]
+    table = [
+        {"alpha": float(alpha), "median_time": float(np.median(t)), "mean_tracking_error_m": float(np.nanmean(e))}
+        for alpha, t, e in zip(ALPHAS, curves["times"], tracking, strict=True)
+    ]
+
+    def draw(path: Path) -> None:
+        errors = {"fixed point (paper)": curves["fixed_point"], "safeguarded": curves["safeguarded"]}
+        tolerance, limit = ArrivalConfig().tolerance, TRAINING.position
+        draw_alpha_iteration(errors, ALPHAS, curves["times"], tracking, path, tolerance=tolerance, limit=limit)
+
+    markdown = as_markdown(["", f"{results.config.count} sequences"], lines)
+    return Report(
+        markdown=markdown + "\n![convergence, flight time and tracking error](alpha_iteration.png)\n",
+        table=table,
+        latex=as_latex(["", "value"], lines, "Matching of arrival times"),
+        figures={"alpha_iteration.png": draw},
+        summary=markdown,
     )
-    print("\n".join(f"{key}: {value}" for key, value in report.items()))
 
 
-if __name__ == "__main__":
-    app()
+EXPERIMENT = Experiment(
+    summary="Figs. 3 and 4: convergence of the arrival times, tracking error against the scale factor alpha",
+    presets={"smoke": Config(count=20), "small": Config(), "full": Config(count=4000)},
+    items=items,
+    evaluate=evaluate,
+    report=report,
+    artefacts=lambda config: [resolve_policy(config.policy)[0]],
+    parallel=False,
+)

@@ -1,6 +1,6 @@
 """Tracking error against scale factor: the vehicle on random minimum-snap trajectories, slowed from their limit.
 
-    python -m experiments.scale_factor --count 64 --out out/scale_factor
+    jaxplan experiment scale-factor --preset smoke|small|full
 
 Each trajectory (rest to rest through random waypoints, durations proportional to distance) is brought to its
 feasibility boundary: the fastest dilation whose rotor speeds, by flatness, stay within limits. It is then slowed by
@@ -8,12 +8,14 @@ alpha from 0.7 (faster than the boundary) to 2.0 and flown with noise. The pictu
 the largest position and yaw error of a flight; flights 5 m off or not finite are counted beside it, not averaged.
 """
 
-import json
-from pathlib import Path
+import dataclasses
+from typing import Literal
 
-import cyclopts
 import numpy as np
 
+from jaxplan.errors import InputError
+from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
+from jaxplan.experiment.tables import as_latex, as_markdown
 from jaxplan.minsnap.problem import minimum_snap
 from jaxplan.tracking.fidelity import build_labeller
 from jaxplan.tracking.result import TRAINING
@@ -59,39 +61,70 @@ def statistics(result):
     }
 
 
-app = cyclopts.App(name="scale_factor", help=__doc__)
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Config:
+    """Which trajectories are flown, and how."""
+
+    count: int = 64
+    """Trajectories."""
+
+    waypoints: int = 5
+    """Of each trajectory."""
+
+    controller: Literal["indi", "se3"] = "indi"
+    """Who flies them."""
+
+    seed: int = 0
+    """Seed of the trajectories and of the noise."""
+
+    def __post_init__(self) -> None:
+        if self.count < 1 or self.waypoints < 2 or self.seed < 0:
+            have = f"--count {self.count} --waypoints {self.waypoints} --seed {self.seed}"
+            raise InputError(f"{have}: want at least 1, 2 and 0")
 
 
-@app.default
-def main(
-    *,
-    count: int = 64,
-    waypoints: int = 5,
-    controller: str = "indi",
-    seed: int = 0,
-    out: Path = Path("out/scale_factor"),
-) -> None:
-    """Fly ``count`` trajectories at each alpha; write ``scale_factor.json`` and ``scale_factor.png``."""
-    splines = at_the_boundary(random_trajectories(count, waypoints, np.random.default_rng(seed)))
-    config = TrackConfig(controller=controller, seed=seed)
-    result = track([spline.dilate(alpha) for alpha in ALPHAS for spline in splines], config=config)
+def items(config: Config) -> list[Item]:
+    return [Item("flights", config.controller, {})]
+
+
+def evaluate(config: Config, item: Item) -> Row:
+    """All trajectories at every alpha, flown at once."""
+    splines = at_the_boundary(random_trajectories(config.count, config.waypoints, np.random.default_rng(config.seed)))
+    settings = TrackConfig(controller=config.controller, seed=config.seed)
+    result = track([spline.dilate(alpha) for alpha in ALPHAS for spline in splines], config=settings)
     rows = []
     for index, alpha in enumerate(ALPHAS):
-        part = slice(index * count, (index + 1) * count)
+        part = slice(index * config.count, (index + 1) * config.count)
         rows.append({"alpha": float(alpha), **statistics(_part(result, part))})
-        print("  ".join(f"{key} {float(value):.3f}" for key, value in rows[-1].items()))
-    out.mkdir(parents=True, exist_ok=True)
-    command = f"python -m experiments.scale_factor --count {count} --waypoints {waypoints} --seed {seed}"
-    command += f" --controller {controller}"
-    report = {"command": command, "rows": rows}
-    (out / "scale_factor.json").write_text(json.dumps(report, indent=1, default=float) + "\n", encoding="utf-8")
-    draw_scale_factor(rows, out / "scale_factor.png", position=TRAINING.position, yaw=np.degrees(TRAINING.yaw))
-    print(f"{len(ALPHAS) * count} flights; picture in {out / 'scale_factor.png'}")
+    return {"rows": rows}
 
 
 def _part(result, part):
     return type(result)(**{name: values[part] for name, values in vars(result).items()})
 
 
-if __name__ == "__main__":
-    app()
+def report(results: Results) -> Report:
+    rows = (results.rows[0] or {})["rows"]
+    header = [name.replace("_", " ") for name in rows[0]]
+    lines = [[f"{value:.3f}" for value in row.values()] for row in rows]
+    markdown, limits = (
+        as_markdown(header, lines),
+        {"position": TRAINING.position, "yaw": float(np.degrees(TRAINING.yaw))},
+    )
+    return Report(
+        markdown=markdown + "\n![tracking error against the scale factor](scale_factor.png)\n",
+        table=rows,
+        latex=as_latex(header, lines, "Tracking error against the scale factor; 1: the rotors' limits"),
+        figures={"scale_factor.png": lambda path: draw_scale_factor(rows, path, **limits)},
+        summary=markdown,
+    )
+
+
+EXPERIMENT = Experiment(
+    summary="Fig. 4: tracking error of minimum-snap flights slowed from the rotors' limits",
+    presets={"smoke": Config(count=4), "small": Config(), "full": Config(count=1000)},
+    items=items,
+    evaluate=evaluate,
+    report=report,
+    parallel=False,
+)

@@ -1,6 +1,6 @@
 """Tune the knots: how far minimum snap strays from its path, against how many segments it costs.
 
-    python -m experiments.tune_knots --pairs 120 --out docs/images/knots.png
+    jaxplan experiment tune-knots --preset smoke|small|full
 
 Random pairs of free points in the three environments are joined by taut routes. For each pair of k_d,min and k_c,min
 every route gets its knots and a minimum-snap trajectory from rest to rest at a constant mean speed, and the deviation
@@ -8,14 +8,16 @@ test of the planner is made on it. The choice is the fewest segments whose share
 percentage points of the least one.
 """
 
+import dataclasses
 import itertools
-from pathlib import Path
 from typing import NamedTuple
 
-import cyclopts
 import jax
 import numpy as np
 
+from jaxplan.errors import InputError
+from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
+from jaxplan.experiment.tables import as_latex, as_markdown
 from jaxplan.minsnap.problem import minimum_snap
 from jaxplan.numerics import in_float64
 from jaxplan.search.knots import KnotConfig, select_route
@@ -94,25 +96,58 @@ def choose(outcomes):
     return min((item for item in outcomes if item.rejected <= least + 0.02), key=lambda item: item.segments)
 
 
-app = cyclopts.App(name="tune_knots", help=__doc__)
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Config:
+    """Over how many routes the knots are tuned."""
+
+    pairs: int = 120
+    """Routes, a third in each environment."""
+
+    seed: int = 0
+    """Seed of their ends."""
+
+    def __post_init__(self) -> None:
+        if self.pairs < len(ENVIRONMENTS) or self.seed < 0:
+            raise InputError(f"--pairs {self.pairs} --seed {self.seed}: want at least {len(ENVIRONMENTS)} and 0")
 
 
-@app.default
-def main(pairs: int = 120, seed: int = 0, out: Path = Path("knots.png")) -> None:
-    """Print a table, the choice, and draw both."""
-    routes = random_routes(pairs, seed)
-    outcomes = [outcome(routes, *setting) for setting in itertools.product(DISTANCES, TURNINGS)]
-    print("k_d,min [m]  k_c,min [rad]  segments  median deviation [m]  above 0.5 m")
-    for item in outcomes:
-        print(
-            f"{item.distance:>11.1f}  {item.turning:>13.2f}  {item.segments:>8.2f}  {item.median:>20.3f}  "
-            f"{item.rejected:>11.1%}"
-        )
+def items(config: Config) -> list[Item]:
+    return [Item("settings", "routes", {})]
+
+
+def evaluate(config: Config, item: Item) -> Row:
+    """Every setting on the same routes."""
+    routes = random_routes(config.pairs, config.seed)
+    settings = itertools.product(DISTANCES, TURNINGS)
+    return {"rows": [outcome(routes, *setting)._asdict() for setting in settings]}
+
+
+def report(results: Results) -> Report:
+    rows = (results.rows[0] or {})["rows"]
+    outcomes = [Outcome(**row) for row in rows]
     chosen = choose(outcomes)
-    print(f"chosen: k_d,min = {chosen.distance:g} m, k_c,min = {chosen.turning:g} rad ({len(routes)} routes)")
-    lines = {f"k_c,min = {turning:g} rad": [o for o in outcomes if o.turning == turning] for turning in TURNINGS}
-    draw_knot_tuning(lines, chosen, out)
+    header = ["k_d,min [m]", "k_c,min [rad]", "segments", "median deviation [m]", f"above {ALLOWED:g} m"]
+    lines = [
+        [f"{o.distance:g}", f"{o.turning:g}", f"{o.segments:.2f}", f"{o.median:.3f}", f"{o.rejected:.1%}"]
+        for o in outcomes
+    ]
+    verdict = f"Chosen: k_d,min = {chosen.distance:g} m, k_c,min = {chosen.turning:g} rad.\n"
+    curves = {f"k_c,min = {turning:g} rad": [o for o in outcomes if o.turning == turning] for turning in TURNINGS}
+    markdown = as_markdown(header, lines) + "\n" + verdict
+    return Report(
+        markdown=markdown + "\n![deviation against segments](knots.png)\n",
+        table=rows,
+        latex=as_latex(header, lines, "Settings of the knots"),
+        figures={"knots.png": lambda path: draw_knot_tuning(curves, chosen, path)},
+        summary=markdown,
+    )
 
 
-if __name__ == "__main__":
-    app()
+EXPERIMENT = Experiment(
+    summary="Our choice of the knots' distance and turning: deviation from the path against the number of segments",
+    presets={"smoke": Config(pairs=9), "small": Config(), "full": Config(pairs=1200)},
+    items=items,
+    evaluate=evaluate,
+    report=report,
+    parallel=False,
+)

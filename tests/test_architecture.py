@@ -21,6 +21,7 @@ LAYERS = [
     {"prediction", "search", "policy", "arrival", "selection", "tracking", "feasibility"},
     {"planner"},
     {"viz", "io", "interception", "replanner", "metrics", "training"},
+    {"experiment"},
     {"cli", "experiments", "benchmarks", "jaxplan"},
 ]
 """From the bottom up. ``jaxplan`` is the package's own __init__: the public names."""
@@ -52,7 +53,8 @@ OWNERS = {
     "cyclopts": ("jaxplan/cli/", "experiments/"),
     "matplotlib": ("jaxplan/viz/",),
     "viser": ("jaxplan/viz/",),
-    "dask": ("experiments/",),
+    "dask": ("jaxplan/experiment/",),
+    "distributed": ("jaxplan/experiment/",),
 }
 
 BANNED_MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "shelve", "marshal", "yaml"}

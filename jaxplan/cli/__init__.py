@@ -1,7 +1,8 @@
 """The ``jaxplan`` command.
 
 Exit codes: 0 a valid run whatever its outcome, 2 usage, 10 bad input, 11 bad file, 12 resource, 13 no interception
-although one was required, 70 internal, 130 and 143 interrupted. An error is one line on stderr.
+although one was required, 14 an experiment left something out, 70 internal, 130 and 143 interrupted. An error is one
+line on stderr.
 """
 
 import os
@@ -10,12 +11,14 @@ import sys
 import traceback
 from collections.abc import Sequence
 from importlib import metadata
-from typing import Any, NoReturn
+from typing import NoReturn
 
-from cyclopts import App, CycloptsError, Parameter, Token, convert
+from cyclopts import App, CycloptsError
 
 from jaxplan.cli.bench import bench
+from jaxplan.cli.experiment import experiment
 from jaxplan.cli.intercept import intercept
+from jaxplan.cli.parameters import DEFAULT_PARAMETER
 from jaxplan.cli.train import train
 from jaxplan.cli.world import world
 from jaxplan.errors import JaxplanError
@@ -27,22 +30,16 @@ EXIT_TERMINATED = 143
 EXIT_PIPE_CLOSED = 141
 
 
-def _convert(kind: Any, tokens: Sequence[Token]) -> Any:
-    """What cyclopts does, except that 1.5 is not rounded to a whole number."""
-    if kind is int:
-        return int(tokens[0].value)
-    return convert(kind, tokens)
-
-
 app = App(
     name="jaxplan",
     help="Plan and fly interceptions of a moving target by a quadrotor, among obstacles.",
     version=lambda: metadata.version("jaxplan"),
-    default_parameter=Parameter(negative=(), converter=_convert),
+    default_parameter=DEFAULT_PARAMETER,
     suppress_keyboard_interrupt=False,
 )
 for command in (intercept, world, bench, train):
     app.command(command)
+app.command(experiment, help_flags=[], version_flags=[])
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:

@@ -1,11 +1,7 @@
 """``jaxplan bench``: the benchmarks, from the source tree or from an installed wheel."""
 
-import importlib
-import sys
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-from jaxplan.errors import ResourceError
 from jaxplan.versions import require_supported_jax
 
 Benchmark = Literal[
@@ -33,18 +29,7 @@ def bench(name: Benchmark, *, json: str | None = None, debug: bool = False) -> i
         Show the traceback of an error.
     """
     require_supported_jax()
-    _benchmark(name).main([] if json is None else ["--json", json])
+    from jaxplan.experiment.registry import bundled
+
+    bundled("benchmarks", f"bench_{name.replace('-', '_')}").main([] if json is None else ["--json", json])
     return 0
-
-
-def _benchmark(name: str) -> Any:
-    """The benchmark's module: inside an installed package, or beside the package in the source tree."""
-    module = f"bench_{name.replace('-', '_')}"
-    if (Path(__file__).parent.parent / "_benchmarks").is_dir():
-        return importlib.import_module(f"jaxplan._benchmarks.{module}")
-    source = Path(__file__).parent.parent.parent
-    if not (source / "benchmarks" / f"{module}.py").is_file():
-        raise ResourceError("bench: this installation has no benchmarks; install a wheel or use the source tree")
-    if str(source) not in sys.path:
-        sys.path.insert(0, str(source))
-    return importlib.import_module(f"benchmarks.{module}")

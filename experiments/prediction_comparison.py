@@ -1,21 +1,23 @@
 """Compare the predictors: the paper's figure of its prediction models, and how far each is from what happens.
 
-    python -m experiments.compare_prediction --out out/prediction
+    jaxplan experiment prediction-comparison --preset smoke|small|full [--flights FOLDER]
 
 Windows of ten observed and twenty future positions are cut from the ten stored targets of each environment, at ten
 maximum speeds from 0.5 to 5.5 m/s each; none of these flights was used to fit a mixture. Recorded flights are resampled
-to 0.1 s and predicted with the generic mixture; those are skipped where the folder is absent. The table goes to
-``prediction.json`` and ``prediction.md``, the picture to ``prediction.png``.
+to 0.1 s and predicted with the generic mixture.
 """
 
-import json
+import dataclasses
 import time
 from pathlib import Path
 
-import cyclopts
 import jax
 import numpy as np
 
+from jaxplan.errors import InputError
+from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
+from jaxplan.experiment.tables import as_latex
+from jaxplan.experiment.tables import as_markdown as markdown_table
 from jaxplan.io.target_log import read_target_log, resample
 from jaxplan.io.targets import load_target, stored_targets
 from jaxplan.numerics import in_float64
@@ -118,37 +120,62 @@ def as_markdown(rows):
     return "\n".join(lines)
 
 
-app = cyclopts.App(name="compare_prediction", help=__doc__)
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Config:
+    """How many windows are predicted, of which flights."""
+
+    windows: int = 1000
+    """Windows of each column; a tenth of them at each speed."""
+
+    flights: str | None = None
+    """A folder with recorded flights (.csv). Default: stored targets only."""
+
+    seed: int = 0
+    """Seed of the choice of windows."""
+
+    def __post_init__(self) -> None:
+        if self.windows < len(SPEEDS) or self.seed < 0:
+            raise InputError(f"--windows {self.windows} --seed {self.seed}: want at least {len(SPEEDS)} and at least 0")
+        if self.flights is not None and not Path(self.flights).is_dir():
+            raise InputError(f"--flights: have {self.flights!r}, want a folder that exists")
 
 
-@app.default
-def main(
-    *,
-    windows: int = 1000,
-    seed: int = 0,
-    flights: Path = Path("../shared/examples/flights"),
-    out: Path = Path("out/prediction"),
-) -> None:
-    """Write the table and the picture."""
-    rng = np.random.default_rng(seed)
-    rows = []
-    for world, dt in INTERVALS.items():
-        cut = stored_windows(world, dt, windows, rng)
-        rows += rows_of(world, cut, dt, shipped_model(world, dt), load_world(world))
-    generic = shipped_model("generic", FLIGHT_INTERVAL)
-    for path in sorted(flights.glob("*.csv")) if flights.is_dir() else []:
-        if "obstacles" not in path.stem:
-            rows += rows_of(path.stem, recorded_windows(path, windows, rng), FLIGHT_INTERVAL, generic, None)
-    out.mkdir(parents=True, exist_ok=True)
-    command = f"python -m experiments.compare_prediction --windows {windows} --seed {seed}"
-    (out / "prediction.json").write_text(json.dumps({"command": command, "rows": rows}, indent=1) + "\n")
-    (out / "prediction.md").write_text(as_markdown(rows))
-    print(as_markdown(rows))
-    draw_predictions(
-        [(load_world(world), list(panels(world, dt))) for world, dt in INTERVALS.items()], out / "prediction.png"
+def items(config: Config) -> list[Item]:
+    """A column each: the environments and the recorded flights."""
+    paths = sorted(Path(config.flights).glob("*.csv")) if config.flights else []
+    columns = [*INTERVALS, *(str(path) for path in paths if "obstacles" not in path.stem)]
+    return [Item(column, column, {"column": column}) for column in columns]
+
+
+def evaluate(config: Config, item: Item) -> Row:
+    column, rng = item.values["column"], np.random.default_rng(config.seed)
+    if column in INTERVALS:
+        dt = INTERVALS[column]
+        cut = stored_windows(column, dt, config.windows, rng)
+        return {"rows": list(rows_of(column, cut, dt, shipped_model(column, dt), load_world(column)))}
+    path, generic = Path(column), shipped_model("generic", FLIGHT_INTERVAL)
+    cut = recorded_windows(path, config.windows, rng)
+    return {"rows": list(rows_of(path.stem, cut, FLIGHT_INTERVAL, generic, None))}
+
+
+def report(results: Results) -> Report:
+    rows = [line for row in results.rows if row is not None for line in row["rows"]]
+    shown = [(load_world(world), list(panels(world, dt))) for world, dt in INTERVALS.items()]
+    header = ["column, predictor", "ADE [m]", "FDE [m]"]
+    errors = [[f"{r['column']}, {r['predictor']}", f"{r['ade_m']:.2f}", f"{r['fde_m']:.2f}"] for r in rows]
+    return Report(
+        markdown=as_markdown(rows) + "\n![what the predictors propose](prediction.png)\n",
+        table=rows,
+        latex=as_latex(header, errors, "Mean and final errors of the predictors"),
+        figures={"prediction.png": lambda path: draw_predictions(shown, path)},
+        summary=markdown_table(header, errors),
     )
-    print(f"picture in {out / 'prediction.png'}")
 
 
-if __name__ == "__main__":
-    app()
+EXPERIMENT = Experiment(
+    summary="Fig. 5: what the predictors propose, and how far each is from what happens",
+    presets={"smoke": Config(windows=20), "small": Config(), "full": Config(windows=10000)},
+    items=items,
+    evaluate=evaluate,
+    report=report,
+)

@@ -1,0 +1,145 @@
+"""Episodes by name, with everything that can be shared between them compiled once per process."""
+
+import dataclasses
+import functools
+import re
+from typing import Any, get_args
+
+import numpy as np
+
+from jaxplan import config as intercept
+from jaxplan import interception
+from jaxplan.errors import InputError
+from jaxplan.interception import Episode, Scenario
+from jaxplan.io.targets import Target, load_target
+from jaxplan.planner import build_planner
+from jaxplan.policy.checkpoint import WEIGHTS, load_policy
+from jaxplan.prediction.predictors import StepPredictor, build_predictor
+from jaxplan.prediction.target_model import shipped_model
+from jaxplan.replanner import Replanner
+from jaxplan.tracking.rollout import Plant, build_plant
+from jaxplan.vehicle.params import load_vehicle
+from jaxplan.world.scene import ENVIRONMENTS
+
+from .guidance import LAWS, Guidance
+from .optimiser import optimiser_policy
+
+LEARNED = ("pretrained", "mfrl")
+PLANNERS = ("no-policy", *LEARNED, "optimiser", *LAWS)
+PREDICTORS = ("none", "ground-truth", "noisy-0.01", "noisy-0.05", "gmm", "constant-velocity")
+"""``noisy-S`` has the standard deviation S [m] after one step; any S will do."""
+TIME_WEIGHT = 2.0e4
+"""rho of the optimiser [m^2/s^8]: its times are those of the pretrained policy in the median (arbitrary)."""
+WARM_UP_STEPS = 3
+"""Replans from hover that compile what most replans need."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EpisodeConfig:
+    """One episode among many."""
+
+    world: str
+    planner: str
+    predictor: str
+    target: str
+    speed: float
+    """The target's maximum speed [m/s]."""
+    departure: float
+    seed: int
+
+
+def available_planners() -> tuple[str, ...]:
+    """Every planner whose weights are here."""
+    return tuple(name for name in PLANNERS if name not in LEARNED or (WEIGHTS / f"{name}.npz").is_file())
+
+
+def check_names(worlds: tuple[str, ...], planners: tuple[str, ...], predictors: tuple[str, ...]) -> None:
+    """Raise ``InputError`` for a name that no episode can use."""
+    for kind, names, known in (
+        ("worlds", worlds, ENVIRONMENTS),
+        ("planners", planners, available_planners()),
+        ("predictors", predictors, PREDICTORS),
+    ):
+        if not names or len(set(names)) != len(names):
+            raise InputError(f"--{kind}: have {' '.join(names) or 'none'}, want at least one, each once")
+        wrong = [name for name in names if name not in known and not (kind == "predictors" and _sigma(name))]
+        if wrong:
+            raise InputError(f"--{kind}: have {wrong[0]!r}, want some of {', '.join(known)}")
+
+
+def prepare(world: str, planner: str) -> None:
+    """Load a world and a planner, and compile what most of their episodes call."""
+    scenario = _scenario(world, planner)
+    episode = EpisodeConfig(
+        world=world, planner=planner, predictor="noisy-0.05", target="", speed=3.0, departure=0.5, seed=0
+    )
+    target = load_target(None, world=world, speed=3.0)
+    short = dataclasses.replace(target, duration=0.5 + 0.1 * WARM_UP_STEPS)
+    _fly(scenario, episode, short)
+
+
+def fly(episode: EpisodeConfig) -> Episode:
+    """Fly an episode; its result depends on nothing but ``episode``."""
+    target = load_target(episode.target, world=episode.world, speed=episode.speed)
+    return _fly(_scenario(episode.world, episode.planner), episode, target)
+
+
+def numbers(episode: Episode) -> dict[str, Any]:
+    """What a table needs of an episode: plain values."""
+    flight = episode.flight
+    apart = np.linalg.norm(flight.position - flight.target, axis=1)
+    end = float(flight.times[-1])
+    return {
+        "outcome": episode.outcome,
+        "time_to_intercept_s": end - episode.scenario.departure if episode.success else None,
+        "end_time_s": end,
+        "min_distance_m": float(apart.min()),
+        "max_position_error_m": float(flight.position_error.max()),
+        "max_yaw_error_deg": float(np.degrees(flight.yaw_error.max())),
+        "min_clearance_m": float(flight.clearance.min()),
+        "replans": len(episode.cycles),
+    }
+
+
+def _fly(scenario: Scenario, episode: EpisodeConfig, target: Target) -> Episode:
+    if episode.planner in LAWS:
+        pilot: Any = Guidance(episode.planner, scenario.start)
+    else:
+        pilot = Replanner(scenario.replanner.planner, _predictor(scenario, episode, target), scenario.start)
+    own = dataclasses.replace(scenario, target=target, replanner=pilot, departure=episode.departure, seed=episode.seed)
+    return interception.fly(own, lambda text, share: None)
+
+
+def _predictor(scenario: Scenario, episode: EpisodeConfig, target: Target) -> StepPredictor:
+    config, name = interception.prediction_config(scenario.world), episode.predictor
+    sigma = _sigma(name)
+    if sigma:
+        config, name = dataclasses.replace(config, sigma=sigma), "noisy"
+    model = shipped_model(episode.world, config.dt) if name == "gmm" else None
+    return build_predictor(name, config, target.position, episode.seed, model, scenario.world)
+
+
+def _sigma(predictor: str) -> float | None:
+    found = re.fullmatch(r"noisy-(\d+(?:\.\d+)?)", predictor)
+    return float(found.group(1)) if found else None
+
+
+@functools.lru_cache(maxsize=1)
+def _scenario(world: str, planner: str) -> Scenario:
+    """Only the newest is kept: compiled planners are large, and episodes come sorted by world and planner."""
+    known = planner if planner in get_args(intercept.Planner) else "no-policy"
+    # The noisy predictor has the most candidates; its planner serves the others too.
+    config = intercept.InterceptConfig(world=world, planner=known, predictor="noisy")
+    base = interception.prepare(config)
+    if planner not in (known, *LAWS):
+        policy = optimiser_policy(TIME_WEIGHT) if planner == "optimiser" else load_policy(planner)
+        own = build_planner(base.replanner.planner.config, world=base.world, vehicle=base.vehicle, policy=policy)
+        unused = interception.predictor_for(config, base.world, base.target)
+        base = dataclasses.replace(base, replanner=Replanner(own, unused, base.start))
+    return dataclasses.replace(base, plant=_plant())
+
+
+@functools.cache
+def _plant() -> Plant:
+    """The simulated vehicle, compiled once for all worlds."""
+    return build_plant(load_vehicle())

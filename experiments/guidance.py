@@ -1,0 +1,116 @@
+"""Baselines that plan nothing: pure pursuit and proportional navigation, straight at the target.
+
+They see what a planner sees of the target and nothing of the room. The acceleration that is commanded every cycle is
+reached at the end of the cycle, so that the reference is continuous up to its acceleration.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxplan.prediction.kinematic import constant_velocity
+from jaxplan.prediction.observations import Observations
+from jaxplan.replanner import ReplannerConfig
+from jaxplan.spline import FlatState
+
+LAWS = ("pursuit", "navigation")
+NAVIGATION_CONSTANT = 3.0
+"""N of proportional navigation; 3 to 5 is usual (Zarchan, Tactical and Strategic Missile Guidance)."""
+RESPONSE = 0.4
+"""Seconds in which an error of the velocity would be made up for (arbitrary)."""
+ADVANTAGE, LEAST_SPEED, MOST_SPEED = 1.5, 3.0, 8.0
+"""Closing speed: this many times the target's speed, within these limits [m/s] (arbitrary)."""
+MOST_ACCELERATION = 8.0
+"""m/s^2, which leaves the rotors a reserve (arbitrary)."""
+
+
+class Leg(NamedTuple):
+    """From ``start`` the acceleration changes at a constant rate for one cycle, and then no more."""
+
+    start: float
+    state: Float[np.ndarray, "3 3"]
+    """Position, velocity and acceleration [SI, world] at the start."""
+    jerk: Float[np.ndarray, "3"]
+
+
+class Guidance:
+    """Stands where a ``Replanner`` stands in an episode."""
+
+    def __init__(self, law: str, start: FlatState) -> None:
+        self.config, self._law, self._yaw = ReplannerConfig(), law, np.asarray(start.yaw)
+        at_rest = np.stack([np.asarray(start.pos), np.zeros(3), np.zeros(3)])
+        self._legs = [Leg(-np.inf, at_rest, np.zeros(3))]
+
+    @property
+    def plans(self) -> list[Leg]:
+        return self._legs
+
+    @property
+    def ever_planned(self) -> bool:
+        return len(self._legs) > 1
+
+    def reference(self, times: Float[np.ndarray, "n"]) -> FlatState:
+        """The commanded flat state at ``times`` [s]."""
+        starts = np.array([leg.start for leg in self._legs])
+        active = np.searchsorted(starts, np.asarray(times) + 1e-9, side="right") - 1
+        rows = np.stack([self._state(self._legs[leg], time) for leg, time in zip(active, times, strict=True)])
+        yaw = np.broadcast_to(self._yaw, (len(rows), 3))
+        return FlatState(derivatives=rows, yaw=yaw)
+
+    def step(self, now: float, observations: Observations) -> None:
+        """Command an acceleration for the coming cycle."""
+        state = self._state(self._legs[-1], now)
+        target = observations.positions[-1]
+        velocity = np.asarray(constant_velocity(observations, np.ones(1)).means)[0, :, 0] - target
+        wanted = command(self._law, target - state[0], velocity - state[1], state[1], velocity)
+        self._legs.append(Leg(now, state[:3], (wanted - state[2]) / self.config.period))
+
+    def _state(self, leg: Leg, time: float) -> Float[np.ndarray, "5 3"]:
+        if not np.isfinite(leg.start):
+            return np.concatenate([leg.state, np.zeros((2, 3))])
+        turning = min(max(time - leg.start, 0.0), self.config.period)
+        even = max(time - leg.start - self.config.period, 0.0)
+        position, velocity, acceleration = _advanced(leg.state, leg.jerk, turning)
+        position, velocity, acceleration = _advanced(np.stack([position, velocity, acceleration]), np.zeros(3), even)
+        jerk = leg.jerk if even == 0.0 else np.zeros(3)
+        return np.stack([position, velocity, acceleration, jerk, np.zeros(3)])
+
+
+def command(
+    law: str,
+    apart: Float[np.ndarray, "3"],
+    relative: Float[np.ndarray, "3"],
+    own: Float[np.ndarray, "3"],
+    target: Float[np.ndarray, "3"],
+) -> Float[np.ndarray, "3"]:
+    """The acceleration [m/s^2] that a law asks for.
+
+    Args:
+        apart: from the defender to the target [m].
+        relative: the target's velocity less the defender's [m/s]; ``own`` and ``target`` are the two.
+    """
+    distance = max(float(np.linalg.norm(apart)), 1e-3)
+    sight = apart / distance
+    speed = float(np.clip(ADVANTAGE * np.linalg.norm(target), LEAST_SPEED, MOST_SPEED))
+    if law == "pursuit":
+        wanted = (speed * sight - own) / RESPONSE
+    else:
+        closing = -float(relative @ sight)
+        turning = np.cross(apart, relative) / distance**2
+        wanted = NAVIGATION_CONSTANT * max(closing, 0.0) * np.cross(turning, sight)
+        wanted += (speed - closing) / RESPONSE * sight
+    size = float(np.linalg.norm(wanted))
+    return wanted * min(1.0, MOST_ACCELERATION / max(size, 1e-9))
+
+
+def _advanced(
+    state: Float[np.ndarray, "3 3"], jerk: Float[np.ndarray, "3"], time: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Position, velocity and acceleration after ``time`` [s] at a constant jerk."""
+    position, velocity, acceleration = state
+    return (
+        position + time * velocity + time**2 / 2.0 * acceleration + time**3 / 6.0 * jerk,
+        velocity + time * acceleration + time**2 / 2.0 * jerk,
+        acceleration + time * jerk,
+    )

@@ -1,0 +1,163 @@
+"""Table I: shares of interceptions over worlds, trajectories, speeds and departures, for planners and predictors.
+
+    jaxplan experiment table1 --preset smoke|small|full [--workers N | --scheduler ADDRESS] [--out DIR] [--resume]
+
+An episode succeeds if the target is met (0.4 m) with the position error below 0.4 m and the yaw error below 45 degrees
+throughout, and nothing is hit by exact geometry (paper, Sec. IV). All cells fly the same episodes with the same noise.
+"""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from jaxplan.errors import InputError
+from jaxplan.experiment.definition import Experiment, Item, Row
+from jaxplan.io.targets import stored_targets
+from jaxplan.policy.checkpoint import WEIGHTS
+from jaxplan.prediction import target_model
+from jaxplan.world.scene import ENVIRONMENTS
+
+from . import closed_loop, table1_report
+from .closed_loop import PREDICTORS, EpisodeConfig, available_planners
+from .guidance import LAWS
+
+SPEEDS = tuple(float(speed) for speed in np.round(np.linspace(0.5, 5.5, 10), 4))
+"""m/s. The paper names ten speeds from 0.5 to 5.5 in steps of 0.5, which would be eleven: ten, both ends included
+(docs/decisions/0012-experiments.md)."""
+DEPARTURES = tuple(float(time) for time in np.round(np.linspace(0.5, 2.5, 10), 4))
+"""s."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Config:
+    """Which episodes are flown, by whom."""
+
+    planners: tuple[str, ...] = dataclasses.field(default_factory=available_planners)
+    """Who allots the times: no-policy, pretrained, mfrl, optimiser; or pursuit, navigation, which plan nothing."""
+
+    predictors: tuple[str, ...] = PREDICTORS
+    """What is known of the target's future; noisy-S has the standard deviation S [m] after one step."""
+
+    worlds: tuple[str, ...] = ENVIRONMENTS
+    """Stored worlds."""
+
+    targets: int = 10
+    """Trajectories of each world."""
+
+    speeds: tuple[float, ...] = SPEEDS
+    """Maximum speeds of the target [m/s]."""
+
+    departures: tuple[float, ...] = DEPARTURES
+    """Times at which the defender leaves its hover [s]."""
+
+    episodes: int = 300
+    """Episodes of a cell, chosen evenly among all combinations."""
+
+    seed: int = 0
+    """Added to every episode's index to seed its noise."""
+
+    def __post_init__(self) -> None:
+        closed_loop.check_names(self.worlds, self.planners, self.predictors)
+        for name in ("speeds", "departures"):
+            values = getattr(self, name)
+            if not values or not all(0.0 < value <= 50.0 for value in values) or len(set(values)) != len(values):
+                raise InputError(f"--{name}: have {values}, want numbers above 0 and at most 50, each once")
+        if not 1 <= self.targets <= 10:
+            raise InputError(f"--targets: have {self.targets}, want 1 to 10")
+        most = len(self.worlds) * self.targets * len(self.speeds) * len(self.departures)
+        if not 1 <= self.episodes <= most:
+            raise InputError(f"--episodes: have {self.episodes}, want 1 to {most}, the number of combinations")
+        if self.seed < 0:
+            raise InputError(f"--seed: have {self.seed}, want 0 or more")
+
+
+def chosen(config: Config) -> list[EpisodeConfig]:
+    """The episodes of a cell, without planner and predictor, in the order of the full grid."""
+    worlds, speeds, departures = config.worlds, config.speeds, config.departures
+    names = {world: stored_targets(world)[: config.targets] for world in worlds}
+    sizes = len(worlds), config.targets, len(speeds), len(departures)
+    episodes = []
+    for index in sorted(even_choice(sizes, config.episodes)):
+        world, target, speed, departure = np.unravel_index(index, sizes)
+        episodes.append(
+            EpisodeConfig(
+                world=worlds[world],
+                planner="",
+                predictor="",
+                target=names[worlds[world]][target],
+                speed=speeds[speed],
+                departure=departures[departure],
+                seed=config.seed + index,
+            )
+        )
+    return episodes
+
+
+def even_choice(sizes: tuple[int, int, int, int], count: int) -> list[int]:
+    """Indices of ``count`` cells of a grid, evenly over every axis: worlds in turn, Latin squares over the others.
+
+    A whole square has each pair of values of two axes once; the first cell is in the middle of the third axis.
+    """
+    worlds, targets, speeds, departures = sizes
+    found = []
+    for place in range(count):
+        world, rest = place % worlds, place // worlds
+        target, row = rest % targets, rest // targets
+        square = row // speeds
+        speed = (target + row + speeds // 2) % speeds
+        departure = (2 * target + row % speeds + square) % departures
+        found.append(int(np.ravel_multi_index((world, target, speed, departure), sizes)))
+    return found
+
+
+def cells(config: Config) -> list[tuple[str, str]]:
+    """Planner and predictor of every cell; what plans nothing has no use for a prediction."""
+    return [
+        (planner, predictor)
+        for planner in config.planners
+        for predictor in (("none",) if planner in LAWS else config.predictors)
+    ]
+
+
+def items(config: Config) -> list[Item]:
+    """All episodes, those of one world and planner together."""
+    episodes, found = chosen(config), []
+    for world in config.worlds:
+        mine = [episode for episode in episodes if episode.world == world]
+        for planner, predictor in cells(config):
+            for episode in mine:
+                own = dataclasses.replace(episode, planner=planner, predictor=predictor)
+                name = f"{planner}/{predictor}/{own.target}/{own.speed:g} m/s/{own.departure:g} s"
+                found.append(Item(name, f"{world}/{planner}", dataclasses.asdict(own)))
+    return found
+
+
+def prepare(config: Config, group: str) -> None:
+    closed_loop.prepare(*group.split("/"))
+
+
+def evaluate(config: Config, item: Item) -> Row:
+    episode = EpisodeConfig(**item.values)
+    return {**item.values, **closed_loop.numbers(closed_loop.fly(episode))}
+
+
+def artefacts(config: Config) -> list[Path]:
+    """Weights and mixtures that the cells use."""
+    models = Path(target_model.__file__).parent / "models"
+    files = [WEIGHTS / f"{planner}.npz" for planner in config.planners]
+    if "gmm" in config.predictors:
+        files += [models / f"{world}.npy" for world in config.worlds]
+    return [path for path in files if path.is_file()]
+
+
+EXPERIMENT = Experiment(
+    summary="Table I: success by planner and predictor, over environments, trajectories, speeds and departures",
+    presets={"smoke": Config(episodes=1), "small": Config(episodes=300), "full": Config(episodes=3000)},
+    items=items,
+    evaluate=evaluate,
+    report=table1_report.report,
+    prepare=prepare,
+    shard_size=10,
+    artefacts=artefacts,
+)

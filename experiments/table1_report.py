@@ -1,0 +1,183 @@
+"""The report of Table I: success beside the paper's, what fails and where, and how long more would take."""
+
+from collections import Counter
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxplan.experiment.definition import Report, Results, Row
+from jaxplan.experiment.statistics import wilson
+from jaxplan.experiment.tables import as_latex, as_markdown, duration
+from jaxplan.viz.success import Bar, Line, draw_failures, draw_success, draw_success_by_speed
+
+PAPER = {
+    "no-policy": {"none": 0.14, "ground-truth": 0.40, "noisy-0.01": 0.40, "noisy-0.05": 0.30, "gmm": 0.36},
+    "pretrained": {"none": 0.38, "ground-truth": 0.78, "noisy-0.01": 0.76, "noisy-0.05": 0.66, "gmm": 0.68},
+    "mfrl": {"none": 0.57, "ground-truth": 0.90, "noisy-0.01": 0.85, "noisy-0.05": 0.76, "gmm": 0.82},
+}
+"""Shares of interceptions (paper, Table I)."""
+FULL = 3000
+"""Episodes of a cell in the paper."""
+MANY = 64
+"""Cores of the larger machine for which times are extrapolated."""
+SUCCESS = "intercepted"
+FAILURES = ("collision", "tracking_lost", "target_ended", "no_plan")
+
+
+class Cell(NamedTuple):
+    """All episodes of one planner with one predictor."""
+
+    planner: str
+    predictor: str
+    rows: list[Row]
+
+    @property
+    def good(self) -> int:
+        return sum(row["outcome"] == SUCCESS for row in self.rows)
+
+    @property
+    def share(self) -> float:
+        return self.good / max(len(self.rows), 1)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        return wilson(self.good, len(self.rows))
+
+    @property
+    def paper(self) -> float | None:
+        return PAPER.get(self.planner, {}).get(self.predictor)
+
+    def failures(self) -> Counter:
+        return Counter(row["outcome"] for row in self.rows if row["outcome"] != SUCCESS)
+
+
+def report(results: Results) -> Report:
+    """Tables, pictures and times."""
+    rows = [row for row in results.rows if row is not None]
+    cells = by_cell(rows)
+    header, lines = _main_table(cells)
+    times = _times(results)
+    count = max(len(cell.rows) for cell in cells)
+    text = [
+        f"{count} episodes a cell; {len(rows)} in all. Shares of interceptions with Wilson's 95 % intervals, and the",
+        "paper's; failures by kind. `pursuit` and `navigation` plan nothing and see no obstacles; what the `optimiser`",
+        "takes to compute is not counted against it.",
+        "",
+        as_markdown(header, lines),
+        "![success](success.png)",
+        "",
+        "## Below the paper",
+        "",
+        _below(cells),
+        "## By environment",
+        "",
+        _split(cells, "world"),
+        "## By the target's maximum speed [m/s]",
+        "",
+        _split(cells, "speed"),
+        "![success by speed](speeds.png)",
+        "",
+        "![failures](failures.png)",
+        "",
+        "## Time",
+        "",
+        times,
+    ]
+    bars = [Bar(c.planner, c.predictor, c.share, c.interval, c.paper) for c in cells]
+    kinds = {f"{c.planner}, {c.predictor}": {k: c.failures()[k] / len(c.rows) for k in FAILURES} for c in cells}
+    return Report(
+        markdown="\n".join(text),
+        table=rows,
+        latex=as_latex(header, lines, f"Success in closed loop, {count} episodes a cell, with 95 % intervals"),
+        figures={
+            "success.png": lambda path: draw_success(bars, path),
+            "speeds.png": lambda path: draw_success_by_speed(_lines(cells), path),
+            "failures.png": lambda path: draw_failures(kinds, path),
+        },
+        summary=as_markdown(header, lines) + times,
+    )
+
+
+def by_cell(rows: Iterable[Row]) -> list[Cell]:
+    """The rows sorted into cells, in the order of their first rows."""
+    found: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        found.setdefault((row["planner"], row["predictor"]), []).append(row)
+    return [Cell(planner, predictor, mine) for (planner, predictor), mine in found.items()]
+
+
+def _main_table(cells: list[Cell]) -> tuple[list[str], list[list[str]]]:
+    header = ["planner, predictor", "success", "95 %", "paper", "difference", *(k.replace("_", " ") for k in FAILURES)]
+    header += ["mean time [s]"]
+    lines = []
+    for cell in cells:
+        low, high = cell.interval
+        times = [row["time_to_intercept_s"] for row in cell.rows if row["time_to_intercept_s"] is not None]
+        paper = ["-", "-"] if cell.paper is None else [f"{cell.paper:.2f}", f"{cell.share - cell.paper:+.2f}"]
+        failures = [str(cell.failures()[kind]) for kind in FAILURES]
+        name = f"{cell.planner}, {cell.predictor}"
+        mean = f"{np.mean(times):.1f}" if times else "-"
+        lines.append([name, f"{cell.share:.3f}", f"{low:.2f} to {high:.2f}", *paper, *failures, mean])
+    return header, lines
+
+
+def _below(cells: list[Cell]) -> str:
+    """By how much cells are below the paper's, and what fails there: kinds, environments, speeds."""
+    lines = []
+    for cell in cells:
+        if cell.paper is None or cell.share >= cell.paper:
+            continue
+        lost = [row for row in cell.rows if row["outcome"] != SUCCESS]
+        parts = [_most(lost, key) for key in ("outcome", "world", "speed")]
+        lines.append(
+            f"- {cell.planner}, {cell.predictor}: {cell.paper - cell.share:.2f} below {cell.paper:.2f}"
+            f"{' (within the interval)' if cell.interval[1] >= cell.paper else ''}; {len(lost)} failures: "
+            + "; ".join(parts)
+        )
+    return "\n".join(lines or ["No cell that the paper has."]) + "\n"
+
+
+def _most(rows: list[Row], key: str) -> str:
+    return ", ".join(f"{count} {value}" for value, count in Counter(row[key] for row in rows).most_common())
+
+
+def _split(cells: list[Cell], key: str) -> str:
+    """Success of every cell for each value of a column."""
+    values = sorted({row[key] for cell in cells for row in cell.rows})
+    lines = []
+    for cell in cells:
+        shares = []
+        for value in values:
+            mine = [row["outcome"] == SUCCESS for row in cell.rows if row[key] == value]
+            shares.append(f"{np.mean(mine):.2f}" if mine else "-")
+        lines.append([f"{cell.planner}, {cell.predictor}", *shares])
+    return as_markdown(["", *(f"{value:.3g}" if isinstance(value, float) else value for value in values)], lines)
+
+
+def _lines(cells: list[Cell]) -> list[Line]:
+    """Success over speed, for the picture."""
+    lines = []
+    for cell in cells:
+        speeds = sorted({row["speed"] for row in cell.rows})
+        shares = [np.mean([row["outcome"] == SUCCESS for row in cell.rows if row["speed"] == s]) for s in speeds]
+        lines.append(Line(cell.planner, cell.predictor, np.array(speeds), np.array(shares)))
+    return lines
+
+
+def _times(results: Results) -> str:
+    """What was spent, and what the paper's number of episodes would take here and on a larger machine."""
+    seconds: dict[tuple[str, str], list[float]] = {}
+    for item, spent, row in zip(results.items, results.seconds, results.rows, strict=True):
+        if row is not None:
+            seconds.setdefault((item.values["planner"], item.values["predictor"]), []).append(spent)
+    every = [spent for some in seconds.values() for spent in some]
+    preparing = sum(results.prepare_seconds.values())
+    full = sum(FULL * float(np.mean(some)) for some in seconds.values()) + preparing
+    longest, rate = max(results.prepare_seconds.values(), default=0.0), 60.0 * len(every) / max(sum(every), 1e-9)
+    return (
+        f"{len(every)} episodes took {duration(sum(every))} of one core, {rate:.0f} a minute"
+        f" and core; preparing {len(results.prepare_seconds)} planners took {duration(preparing)}.\n"
+        f"Extrapolated to {FULL} episodes a cell: {duration(full)} of one core, {duration(full / 2)} on 2 cores, "
+        f"{duration(full / MANY + longest)} on {MANY}.\n"
+    )

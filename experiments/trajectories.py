@@ -1,0 +1,135 @@
+"""The optimised trajectories over time of one episode: all candidates of some of its cycles, and what was flown.
+
+jaxplan experiment trajectories [--world NAME] [--target NAME] [--speed V] [--predictor NAME]
+"""
+
+import dataclasses
+
+import numpy as np
+
+from jaxplan import interception
+from jaxplan.config import InterceptConfig, Planner, Predictor
+from jaxplan.errors import InputError
+from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
+from jaxplan.experiment.tables import as_latex, as_markdown
+from jaxplan.planner import build_planner
+from jaxplan.policy.checkpoint import load_policy, resolve_policy
+from jaxplan.policy.constant_speed import constant_speed_policy
+from jaxplan.replanner import Replanner
+from jaxplan.viz.candidates import candidate_curves
+from jaxplan.viz.trajectories import draw_moments
+from jaxplan.world.scene import load_world
+
+SAMPLES = 6
+"""Points of a segment's curve."""
+MOST_CURVES = 120
+"""Curves of a moment that are kept, usable ones first."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Config:
+    """Which episode, and at how many moments it is looked at."""
+
+    world: str = "env1"
+    """A stored world or a file."""
+
+    target: str | None = "env1-07"
+    """A stored trajectory or a recorded flight; none given by a world from a file: its first."""
+
+    planner: Planner = "pretrained"
+    """Who allots the times."""
+
+    predictor: Predictor = "gmm"
+    """How the target's future is predicted."""
+
+    speed: float = 2.5
+    """The target's maximum speed [m/s]."""
+
+    departure: float = 0.5
+    """Time at which the defender leaves its hover [s]."""
+
+    moments: int = 6
+    """Panels, evenly over the cycles that planned anew."""
+
+    seed: int = 0
+    """Seed of all noise."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.moments <= 24:
+            raise InputError(f"--moments: have {self.moments}, want 1 to 24")
+        self.intercept()
+
+    def intercept(self) -> InterceptConfig:
+        """The same as the options of an interception, checked."""
+        names = ("world", "target", "planner", "predictor", "speed", "departure", "seed")
+        return InterceptConfig(**{name: getattr(self, name) for name in names})
+
+
+def items(config: Config) -> list[Item]:
+    return [Item("episode", config.planner, {})]
+
+
+def evaluate(config: Config, item: Item) -> Row:
+    """Fly with every candidate evaluated, and keep some moments."""
+    asked = config.intercept()
+    scenario = interception.prepare(asked)
+    settings = dataclasses.replace(scenario.replanner.planner.config, exhaustive=True)
+    policy = constant_speed_policy() if config.planner == "no-policy" else load_policy(config.planner)
+    planner = build_planner(settings, world=scenario.world, vehicle=scenario.vehicle, policy=policy)
+    predict = interception.predictor_for(asked, scenario.world, scenario.target)
+    scenario = dataclasses.replace(scenario, replanner=Replanner(planner, predict, scenario.start))
+    episode = interception.fly(scenario, lambda text, share: None)
+    telling = [cycle for cycle in episode.cycles if (cycle.plans.lanes >= 0).any()]
+    places = np.unique(np.linspace(0, len(telling) - 1, config.moments).astype(int)) if telling else []
+    flight = episode.flight
+    return {
+        "outcome": episode.outcome,
+        "times": flight.times,
+        "flown": flight.position,
+        "target": flight.target,
+        "moments": [_moment(telling[place]) for place in places],
+    }
+
+
+def _moment(cycle) -> Row:
+    curves = candidate_curves(cycle, SAMPLES)
+    order = np.argsort(~curves.curve_usable, kind="stable")[:MOST_CURVES]
+    return {
+        "time": curves.time,
+        "status": cycle.status.name.lower(),
+        "generated": cycle.generated,
+        "usable": int(curves.usable.sum()),
+        "goals": curves.goals,
+        "goal_usable": curves.usable,
+        "curves": curves.curves[order],
+        "curve_usable": curves.curve_usable[order],
+        "chosen": curves.chosen,
+    }
+
+
+def report(results: Results) -> Report:
+    row = results.rows[0] or {}
+    table = [{key: m[key] for key in ("time", "status", "generated", "usable")} for m in row["moments"]]
+    header = ["time [s]", "the cycle came to", "candidates", "usable"]
+    lines = [[f"{m['time']:.1f}", m["status"].replace("_", " "), str(m["generated"]), str(m["usable"])] for m in table]
+    markdown = f"Outcome: {row['outcome'].replace('_', ' ')} after {row['times'][-1]:.2f} s.\n\n"
+    markdown += as_markdown(header, lines)
+    world = load_world(results.config.world)
+    return Report(
+        markdown=markdown + "\n![candidates over time](trajectories.png)\n",
+        table=table,
+        latex=as_latex(header, lines, "Moments of one episode"),
+        figures={"trajectories.png": lambda path: draw_moments(world, row, path)},
+        summary=markdown,
+    )
+
+
+EXPERIMENT = Experiment(
+    summary="Fig. 7: the optimised trajectories over time of one episode",
+    presets={"smoke": Config(planner="no-policy", moments=3), "small": Config(), "full": Config(moments=12)},
+    items=items,
+    evaluate=evaluate,
+    report=report,
+    artefacts=lambda config: [] if config.planner == "no-policy" else [resolve_policy(config.planner)[0]],
+    parallel=False,
+)
