@@ -81,7 +81,7 @@ def _draw(name, path):
 
 
 EXPERIMENT = Experiment(
-    summary="Fig. 6: the environments and their target trajectories",
+    summary="Fig. 7: the environments and their target trajectories",
     presets={"smoke": Config(), "small": Config(), "full": Config()},
     items=items,
     evaluate=evaluate,

@@ -146,7 +146,7 @@ def _spread(values: list[float]) -> str:
 
 
 EXPERIMENT = Experiment(
-    summary="Fig. 2: multi-resolution search beside the finest lattice, time and path length against distance",
+    summary="Fig. 3: multi-resolution search beside the finest lattice, time and path length against distance",
     presets={"smoke": Config(worlds=("env1",), pairs=6, goals=100), "small": Config(), "full": Config(pairs=1000)},
     items=items,
     evaluate=evaluate,

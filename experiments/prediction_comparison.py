@@ -173,7 +173,7 @@ def report(results: Results) -> Report:
 
 
 EXPERIMENT = Experiment(
-    summary="Fig. 5: what the predictors propose, and how far each is from what happens",
+    summary="Fig. 6: what the predictors propose, and how far each is from what happens",
     presets={"smoke": Config(windows=20), "small": Config(), "full": Config(windows=10000)},
     items=items,
     evaluate=evaluate,

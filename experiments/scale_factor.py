@@ -121,7 +121,7 @@ def report(results: Results) -> Report:
 
 
 EXPERIMENT = Experiment(
-    summary="Fig. 4: tracking error of minimum-snap flights slowed from the rotors' limits",
+    summary="Fig. 5: tracking error of minimum-snap flights slowed from the rotors' limits",
     presets={"smoke": Config(count=4), "small": Config(), "full": Config(count=1000)},
     items=items,
     evaluate=evaluate,

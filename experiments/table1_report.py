@@ -166,18 +166,23 @@ def _lines(cells: list[Cell]) -> list[Line]:
 
 
 def _times(results: Results) -> str:
-    """What was spent, and what the paper's number of episodes would take here and on a larger machine."""
-    seconds: dict[tuple[str, str], list[float]] = {}
-    for item, spent, row in zip(results.items, results.seconds, results.rows, strict=True):
-        if row is not None:
-            seconds.setdefault((item.values["planner"], item.values["predictor"]), []).append(spent)
-    every = [spent for some in seconds.values() for spent in some]
-    preparing = sum(results.prepare_seconds.values())
-    full = sum(FULL * float(np.mean(some)) for some in seconds.values()) + preparing
-    longest, rate = max(results.prepare_seconds.values(), default=0.0), 60.0 * len(every) / max(sum(every), 1e-9)
+    """What was spent, and what the paper's number of episodes would take here and on a larger machine.
+
+    Episodes that compiled something say nothing of the next ones; their time counts as preparation.
+    """
+    warm: dict[tuple[str, str], list[float]] = {}
+    cold: dict[tuple[str, str], list[float]] = {}
+    for item, spent, compiled in zip(results.items, results.seconds, results.compiled, strict=True):
+        place = cold if compiled else warm
+        place.setdefault((item.values["planner"], item.values["predictor"]), []).append(spent)
+    every = [spent for some in warm.values() for spent in some]
+    preparing = sum(results.prepare_seconds.values()) + sum(map(sum, cold.values()))
+    usual = float(np.mean(every)) if every else 0.0
+    each = [np.mean(warm.get(cell, usual)) for cell in {**warm, **cold}]
+    full, longest = FULL * float(np.sum(each)), max(results.prepare_seconds.values(), default=0.0)
     return (
-        f"{len(every)} episodes took {duration(sum(every))} of one core, {rate:.0f} a minute"
-        f" and core; preparing {len(results.prepare_seconds)} planners took {duration(preparing)}.\n"
-        f"Extrapolated to {FULL} episodes a cell: {duration(full)} of one core, {duration(full / 2)} on 2 cores, "
-        f"{duration(full / MANY + longest)} on {MANY}.\n"
+        f"{len(every)} warm episodes took {duration(sum(every))} of a worker, {60.0 / max(usual, 1e-9):.0f} a minute; "
+        f"compiling for {len(results.prepare_seconds)} planners and worlds took {duration(preparing)}.\n"
+        f"Extrapolated to {FULL} episodes a cell: {duration(full + preparing)} with one worker, "
+        f"{duration((full + preparing) / 2)} with 2, {duration(full / MANY + longest)} with {MANY} on as many cores.\n"
     )

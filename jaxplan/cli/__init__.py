@@ -58,7 +58,8 @@ def run(arguments: Sequence[str]) -> int:
         cause = _library_error(error)
         if cause is not None:
             return _report(str(cause), cause.exit_code, arguments)
-        return _report(f"{str(error).rstrip('.')}; see: jaxplan intercept --help", EXIT_USAGE, arguments)
+        known = arguments[0] if arguments and arguments[0] in app else "intercept"
+        return _report(f"{str(error).rstrip('.')}; see: jaxplan {known} --help", EXIT_USAGE, arguments)
     except JaxplanError as error:
         return _report(str(error), error.exit_code, arguments)
     except KeyboardInterrupt:

@@ -173,7 +173,11 @@ def _client(workers: int, scheduler: str | None) -> "Iterator[Client]":
         with client:
             yield client
         return
-    settings = {"distributed.nanny.pre-spawn-environ": work.ONE_THREAD, "distributed.scheduler.allowed-failures": 0}
+    settings = {
+        "distributed.nanny.pre-spawn-environ": work.ONE_THREAD,
+        "distributed.scheduler.allowed-failures": 0,  # the ledger decides what is tried again
+        "distributed.deploy.lost-worker-timeout": "1000 days",  # else a nanny is closed while its worker restarts
+    }
     with (
         dask.config.set(settings),
         LocalCluster(
@@ -181,7 +185,7 @@ def _client(workers: int, scheduler: str | None) -> "Iterator[Client]":
             threads_per_worker=1,
             processes=True,
             memory_limit=0,
-            dashboard_address=None,
+            dashboard_address=":0",
             silence_logs=logging.CRITICAL,
         ) as cluster,
         Client(cluster) as client,

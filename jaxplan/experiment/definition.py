@@ -33,6 +33,8 @@ class Results(NamedTuple):
     """One for each item, in the items' order; None where it was quarantined."""
     seconds: list[float]
     """Wall time of each item in its worker."""
+    compiled: list[bool]
+    """Whether that includes compilation."""
     quarantined: dict[str, str]
     """Items that could not be evaluated, and why."""
     prepare_seconds: dict[str, float]

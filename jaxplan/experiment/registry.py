@@ -31,8 +31,19 @@ def experiment_names() -> tuple[str, ...]:
 
 @functools.cache
 def load_experiment(name: str) -> Experiment:
-    """The experiment called ``name``. Raises ``InputError`` for an unknown name."""
+    """The experiment called ``name``: a stored one, or the ``EXPERIMENT`` of one's own module, ``package.module``.
+
+    Raises:
+        InputError: neither.
+    """
     names = experiment_names()
+    if "." in name:
+        try:
+            return importlib.import_module(name).EXPERIMENT
+        except (ImportError, AttributeError, ValueError) as error:
+            raise InputError(f"experiment: {name!r} is no module with an EXPERIMENT ({error}); correct it") from error
     if name not in names:
-        raise InputError(f"experiment: unknown name {name!r}, want one of {', '.join(names)}")
+        raise InputError(
+            f"experiment: unknown name {name!r}, want one of {', '.join(names)}, or your own package.module"
+        )
     return bundled("experiments", name.replace("-", "_")).EXPERIMENT

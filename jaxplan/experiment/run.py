@@ -120,7 +120,7 @@ class _Clock:
 
 
 def _collect(config: Any, store: Store, shards: list[Shard]) -> Results:
-    items, rows, seconds = [], [], []
+    items, rows, seconds, compiled = [], [], [], []
     quarantined: dict[str, str] = {}
     preparing: dict[str, float] = {}
     for shard in shards:
@@ -131,10 +131,11 @@ def _collect(config: Any, store: Store, shards: list[Shard]) -> Results:
             items.append(item)
             rows.append(outcome.row)
             seconds.append(outcome.seconds)
+            compiled.append(outcome.compiled)
             preparing[item.group] = max(preparing.get(item.group, 0.0), outcome.prepare_seconds)
             if outcome.row is None:
                 quarantined[item.name] = outcome.error
-    return Results(config, items, rows, seconds, quarantined, preparing)
+    return Results(config, items, rows, seconds, compiled, quarantined, preparing)
 
 
 def _publish(request: Request, report: Report, results: Results, found: dict[str, Any]) -> None:

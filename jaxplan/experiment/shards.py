@@ -14,6 +14,7 @@ from typing import IO, Any, NamedTuple
 from jaxplan.errors import FileError, InputError, ResourceError
 from jaxplan.experiment.configuration import differences, read_config
 from jaxplan.experiment.definition import Item, Row
+from jaxplan.io.files import plain
 
 
 class Shard(NamedTuple):
@@ -31,6 +32,8 @@ class Outcome(NamedTuple):
     """None where it failed."""
     error: str
     seconds: float
+    compiled: bool = False
+    """Whether anything was compiled meanwhile, so that ``seconds`` says little of the next item."""
     prepare_seconds: float = 0.0
     """What preparing its group took just before, 0 where that was done already."""
 
@@ -81,7 +84,9 @@ class Store:
         """Keep a finished shard. Raises ``ResourceError`` where the disk refuses; what was kept before stays valid."""
         rows = [{"item": item.name, **outcomes[item.name]._asdict()} for item in shard.items]
         try:
-            write_atomically(self._path(shard), json.dumps({"shard": shard.number, "rows": rows}) + "\n")
+            write_atomically(
+                self._path(shard), json.dumps(plain({"shard": shard.number, "rows": rows}), allow_nan=False) + "\n"
+            )
         except OSError as error:
             raise _refusal(self.folder, error) from error
 

@@ -3,6 +3,7 @@
 import time
 from typing import Any
 
+from jaxplan.compilation import compilations
 from jaxplan.experiment.configuration import from_plain
 from jaxplan.experiment.definition import Item
 from jaxplan.experiment.registry import load_experiment
@@ -40,10 +41,11 @@ def evaluate(name: str, config: dict[str, Any], items: list[list[Any]]) -> list[
     settings: Any = from_plain(experiment.config_type, config)
     outcomes: list[list[Any]] = []
     for item in (Item(*values) for values in items):
-        spent, began = prepare(name, config, item.group), time.perf_counter()
+        spent, known, began = prepare(name, config, item.group), compilations(), time.perf_counter()
         try:
             row, error = experiment.evaluate(settings, item), ""
         except Exception as failure:  # whatever an item does must not take the others along
             row, error = None, f"{type(failure).__name__}: {failure}"
-        outcomes.append(list(Outcome(row, error, time.perf_counter() - began, spent)))
+        seconds = time.perf_counter() - began
+        outcomes.append(list(Outcome(row, error, seconds, compilations() > known, spent)))
     return outcomes

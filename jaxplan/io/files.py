@@ -15,7 +15,7 @@ TUM_HEADER = "timestamp tx ty tz qx qy qz qw"
 
 def write_json(path: Path, value: Any) -> None:
     """Write ``value`` as JSON that any reader accepts: numpy values as numbers and lists, NaN and inf as null."""
-    text = json.dumps(_plain(value), indent=2, allow_nan=False, ensure_ascii=False)
+    text = json.dumps(plain(value), indent=2, allow_nan=False, ensure_ascii=False)
     Path(path).write_text(text + "\n", encoding="utf-8")
 
 
@@ -29,14 +29,14 @@ def write_tum(
     np.savetxt(path, table, fmt="%.9f", delimiter=" ", header=TUM_HEADER, encoding="utf-8")
 
 
-def _plain(value: Any) -> Any:
-    """``value`` made of nothing but what JSON knows."""
+def plain(value: Any) -> Any:
+    """``value`` made of nothing but what JSON knows; NaN and infinity become None."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, np.generic) or hasattr(value, "__array__"):
-        return _plain(np.asarray(value).tolist())
+        return plain(np.asarray(value).tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Path):

@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
+
+TICKS = (0.05, 0.1, 0.2, 0.4, 0.8)
 
 
 def draw_multi_resolution(rows: Sequence[Mapping[str, Any]], edges: Sequence[float], path: Path) -> None:
@@ -35,5 +38,7 @@ def draw_multi_resolution(rows: Sequence[Mapping[str, Any]], edges: Sequence[flo
         for edge in edges:
             axes.axvline(edge, color="0.8", linewidth=1.0, zorder=0)
         axes.set(xscale="log", xlabel="distance, share of the room's diagonal")
+        axes.set_xticks(TICKS, [f"{tick:g}" for tick in TICKS])
+        axes.xaxis.set_minor_locator(NullLocator())
         axes.spines[["top", "right"]].set_visible(False)
     figure.savefig(path, dpi=130)

@@ -37,7 +37,7 @@ def draw_success(bars: Sequence[Bar], path: Path) -> None:
     """A group of bars for each planner, one bar for each predictor, the paper's shares as black marks."""
     planners = list(dict.fromkeys(bar.planner for bar in bars))
     predictors = list(dict.fromkeys(bar.predictor for bar in bars))
-    figure = Figure(figsize=(max(7.0, 0.34 * len(bars) + 3.0), 4.0), layout="constrained")
+    figure = Figure(figsize=(max(7.0, 0.36 * len(bars) + 3.5), 4.0), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots()
     place, ticks = 0.0, []
@@ -57,7 +57,7 @@ def draw_success(bars: Sequence[Bar], path: Path) -> None:
                 labelled.add("paper")
                 axes.plot([place - 0.42, place + 0.42], [bar.paper] * 2, color="black", linewidth=2.2, label=known)
             place += 1.0
-        place += 0.8
+        place += 1.3
     axes.set_xticks(ticks, planners)
     axes.set_ylabel("share of interceptions, 95 % interval")
     axes.set_ylim(0.0, 1.02)
@@ -80,12 +80,10 @@ def draw_success_by_speed(lines: Sequence[Line], path: Path) -> None:
             colour = COLOURS[predictors.index(line.predictor) % len(COLOURS)]
             axes.plot(line.speeds, line.shares, marker="o", markersize=3, color=colour, label=line.predictor)
         axes.set_title(planner, fontsize=10)
-        axes.set_ylim(-0.03, 1.03)
+        axes.set(ylim=(-0.03, 1.03), xlabel="target's maximum speed [m/s]", ylabel="share of interceptions")
         axes.spines[["top", "right"]].set_visible(False)
     for axes in list(panels.flat)[len(planners) :]:
         axes.set_visible(False)
-    figure.supxlabel("maximum speed of the target [m/s]", fontsize=10)
-    figure.supylabel("share of interceptions", fontsize=10)
     shown: dict[str, Any] = {}
     for axes in panels.flat:
         handles, labels = axes.get_legend_handles_labels()

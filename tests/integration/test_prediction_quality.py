@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks import bench_prediction
-from experiments import compare_prediction
-from experiments.compare_prediction import INTERVALS, as_markdown, panels, recorded_windows, rows_of, stored_windows
+from experiments.prediction_comparison import INTERVALS, as_markdown, panels, recorded_windows, rows_of, stored_windows
 from jaxplan import interception
 from jaxplan.config import InterceptConfig
 from jaxplan.prediction.target_model import shipped_model
@@ -49,14 +48,6 @@ def test_the_table_and_the_picture(tmp_path):
     assert all(panel.usable.any() for panel in shown)
     draw_predictions([(load_world("env1"), shown)], tmp_path / "p.png")
     assert (tmp_path / "p.png").stat().st_size > 20_000
-
-
-@pytest.mark.slow
-def test_the_whole_comparison(tmp_path):
-    compare_prediction.main(windows=20, flights=tmp_path / "absent", out=tmp_path)
-    rows = json.loads((tmp_path / "prediction.json").read_text())["rows"]
-    assert {row["column"] for row in rows} == set(INTERVALS)
-    assert (tmp_path / "prediction.png").is_file()
 
 
 def test_the_benchmark_runs_and_compiles_nothing_after_the_first_call(tmp_path, capsys):
