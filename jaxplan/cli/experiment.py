@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import cyclopts.config
 from cyclopts import App, Parameter
 
-from jaxplan.cli.parameters import DEFAULT_PARAMETER, EVERY_TOKEN
+from jaxplan.cli.parameters import EVERY_TOKEN, SEVERAL
 from jaxplan.errors import InputError
 from jaxplan.versions import require_supported_jax
 
@@ -86,7 +86,7 @@ def _app(found: "Experiment", name: str, base: dict[str, Any]) -> App:
         name=f"jaxplan experiment {name}",
         help=found.summary,
         version_flags=[],
-        default_parameter=DEFAULT_PARAMETER,
+        default_parameter=SEVERAL,
         config=cyclopts.config.Dict({key: value for key, value in base.items() if value is not None}),
     )
     app.default(take)

@@ -14,5 +14,7 @@ def _convert(kind: Any, tokens: Sequence[Token]) -> Any:
 
 
 DEFAULT_PARAMETER = Parameter(negative=(), converter=_convert)
+SEVERAL = Parameter(negative=(), converter=_convert, consume_multiple=True)
+"""The same where one flag takes several values: ``--speeds 1 3 5``."""
 EVERY_TOKEN = Parameter(show=False, allow_leading_hyphen=True, negative=())
 """For a command that reads its own arguments."""

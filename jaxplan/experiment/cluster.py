@@ -7,6 +7,7 @@ of a group, which never counts against the job. Workers that die are replaced by
 import logging
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -63,7 +64,7 @@ class _Dispatcher:
         from distributed import wait
 
         while self._ledger.items_left:
-            alive = set(self._client.nthreads())
+            alive = self._alive()
             self._prepared = {address: self._prepared.get(address, set()) for address in alive}
             self._collect(alive)
             self._assign(alive)
@@ -73,10 +74,19 @@ class _Dispatcher:
                 raise ResourceError(f"experiment: no worker for {WORKER_SECONDS:.0f} s; start some and use --resume")
             try:
                 wait(list(self._running), timeout=1.0, return_when="FIRST_COMPLETED") if self._running else None
-            except TimeoutError:
+            except (TimeoutError, CancelledError):
                 continue
             if not self._running:
                 time.sleep(0.2)
+
+    def _alive(self) -> set[str]:
+        """Addresses of the workers."""
+        try:
+            return set(self._client.nthreads())
+        except (OSError, TimeoutError) as error:
+            raise ResourceError(
+                "experiment: the scheduler is gone; what is finished stays valid: start one and go on with --resume"
+            ) from error
 
     def _assign(self, alive: set[str]) -> None:
         """One task for each idle worker: its own group first, then the group that is waited for most."""
@@ -115,8 +125,10 @@ class _Dispatcher:
 
     def _settle(self, future: "Future", running: Running) -> None:
         if future.status != "finished":
-            error = future.exception() if future.status == "error" else None
-            if error is None or type(error).__name__ == "KilledWorker":
+            if future.status != "error":  # the connection was lost, which says nothing of the job
+                return self._ledger.give_back(running.job)
+            error = future.exception()
+            if type(error).__name__ == "KilledWorker":
                 return self._lost(running)
             raise error
         if running.preparing:

@@ -15,7 +15,7 @@ def origin(command: list[str], artefacts: list[Path]) -> dict[str, Any]:
     """What one run says about itself; ``artefacts`` are the files it depends on."""
     return {
         "command": " ".join(command),
-        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "commit": commit(),
         "versions": installed_versions(),
         "machine": {

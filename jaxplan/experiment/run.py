@@ -60,10 +60,11 @@ def run(request: Request, progress: Progress = lambda text: None) -> Done:
     with Store(request.out, request.name, request.preset, config, request.resume) as store:
         missing = store.unfinished(shards)
         if missing:
+            store.note_run(origin(list(request.command), experiment.artefacts(request.config)))
             _evaluate(experiment, request, config, store, missing, progress)
         results = _collect(request.config, store, shards)
         report = experiment.report(results)
-        _publish(request, report, results, origin(list(request.command), experiment.artefacts(request.config)))
+        _publish(request, report, results, store.runs())
     return Done(report, results.quarantined, request.out)
 
 
@@ -138,7 +139,7 @@ def _collect(config: Any, store: Store, shards: list[Shard]) -> Results:
     return Results(config, items, rows, seconds, compiled, quarantined, preparing)
 
 
-def _publish(request: Request, report: Report, results: Results, found: dict[str, Any]) -> None:
+def _publish(request: Request, report: Report, results: Results, found: list[dict[str, Any]]) -> None:
     """Write report, table and pictures; ``provenance.json`` is the last and has the hashes of the others."""
     folder = request.out
     with OutputFolder(folder) as output:
@@ -149,23 +150,31 @@ def _publish(request: Request, report: Report, results: Results, found: dict[str
         output.write("report.md", lambda path: _text(path, _page(request, report, results, found)))
         output.publish()
     names = ["results.csv", "table.tex", "report.md", *report.figures]
-    found["seed"] = getattr(request.config, "seed", None)
-    found["results"] = {name: sha256(folder / name) for name in names}
-    write_atomically(folder / "provenance.json", json.dumps(found, indent=1) + "\n")
+    hashes = {name: sha256(folder / name) for name in names}
+    page = {"seed": getattr(request.config, "seed", None), "runs": found, "results": hashes}
+    write_atomically(folder / "provenance.json", json.dumps(page, indent=1) + "\n")
 
 
 def _text(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def _page(request: Request, report: Report, results: Results, found: dict[str, Any]) -> str:
+def _page(request: Request, report: Report, results: Results, found: list[dict[str, Any]]) -> str:
     """``report.md``: the body, what was left out, and where it comes from."""
     lines = [f"# {request.name}, preset {request.preset}", "", report.markdown.rstrip(), ""]
     if results.quarantined:
         lines += ["## Left out", "", f"{len(results.quarantined)} items could not be evaluated:", ""]
         lines += [f"- `{name}`: {why}" for name, why in results.quarantined.items()] + [""]
-    machine = found["machine"]
-    lines += ["## Origin", "", "```", found["command"] or f"jaxplan experiment {request.name}", "```", ""]
-    lines += [f"Commit {found['commit']}; {machine['processor']}, {machine['cores']} cores. The configuration is in"]
-    lines += ["`config.json`, versions and hashes are in `provenance.json`.", ""]
+    lines += [
+        "## Origin",
+        "",
+        "```",
+        *(run["command"] or f"jaxplan experiment {request.name}" for run in found),
+        "```",
+        "",
+    ]
+    for commit in dict.fromkeys(run["commit"] for run in found):
+        machine = next(run["machine"] for run in found if run["commit"] == commit)
+        lines += [f"Commit {commit}; {machine['processor']}, {machine['cores']} cores.", ""]
+    lines += ["The configuration is in `config.json`, versions and hashes are in `provenance.json`.", ""]
     return "\n".join(lines)

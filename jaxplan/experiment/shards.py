@@ -109,6 +109,18 @@ class Store:
         found = [(shard, self.read(shard)) for shard in shards]
         return [s for s, outcomes in found if outcomes is None or any(o.row is None for o in outcomes.values())]
 
+    def note_run(self, origin: dict[str, Any]) -> None:
+        """Keep where a run that is about to evaluate shards comes from; resumed folders have several."""
+        try:
+            write_atomically(self.folder / "shards" / "runs.json", json.dumps([*self.runs(), origin], indent=1) + "\n")
+        except OSError as error:
+            raise _refusal(self.folder, error) from error
+
+    def runs(self) -> list[dict[str, Any]]:
+        """Every run that evaluated shards of this folder."""
+        path = self.folder / "shards" / "runs.json"
+        return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else []
+
     def _path(self, shard: Shard) -> Path:
         return self.folder / "shards" / f"{shard.number:06d}.json"
 

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 import pytest
 
-from experiments import closed_loop, guidance, table1
+from experiments import closed_loop, guidance, table1, table2
 from experiments.closed_loop import EpisodeConfig
 from experiments.optimiser import optimiser_policy
 from experiments.table1_report import PAPER, by_cell, report
@@ -248,3 +248,17 @@ def test_every_figure_is_drawn(name: str, tmp_path: Path) -> None:
     assert table(tmp_path)
     shards = cut(load_experiment(name).items(load_experiment(name).presets["smoke"]), 1)
     assert len(list((tmp_path / "shards").glob("[0-9]*.json"))) <= len(shards)
+
+
+def test_the_report_of_made_up_times_has_the_papers_beside_them(tmp_path: Path) -> None:
+    config = table2.Config(worlds=("env1",))
+    rows = [
+        {"device": "cpu", "world": "env1", "candidates": 400, "stage": stage, "p50_ms": 2.0 + n, "p99_ms": 4.0 + n}
+        for n, stage in enumerate(table2.STAGES)
+    ]
+    items = table2.items(config)
+    found = table2.report(Results(config, items[:1], [{"rows": rows}], [1.0], [True], {}, {}))
+    assert "| cpu, env1, 400 | 2.00 / 4.00 | 3.00 / 5.00 |" in found.markdown
+    assert "| paper, Titan Xp, 400 | 18.7 | - | 9.5 | 71.2 | - | - | 99.4 |" in found.markdown
+    found.figures["stages.png"](tmp_path / "stages.png")
+    assert (tmp_path / "stages.png").stat().st_size > 10_000
