@@ -13,7 +13,7 @@ from jaxplan.errors import InputError
 from jaxplan.interception import Episode, Scenario
 from jaxplan.io.targets import Target, load_target
 from jaxplan.planner import build_planner
-from jaxplan.policy.checkpoint import WEIGHTS, load_policy
+from jaxplan.policy.checkpoint import WEIGHTS
 from jaxplan.prediction.predictors import StepPredictor, build_predictor
 from jaxplan.prediction.target_model import shipped_model
 from jaxplan.replanner import Replanner
@@ -28,8 +28,9 @@ LEARNED = ("pretrained", "mfrl")
 PLANNERS = ("no-policy", *LEARNED, "optimiser", *LAWS)
 PREDICTORS = ("none", "ground-truth", "noisy-0.01", "noisy-0.05", "gmm", "constant-velocity")
 """``noisy-S`` has the standard deviation S [m] after one step; any S will do."""
-TIME_WEIGHT = 2.0e4
-"""rho of the optimiser [m^2/s^8]: its times are those of the pretrained policy in the median (arbitrary)."""
+TIME_WEIGHT = 7.5e4
+"""rho of the optimiser [m^2/s^8]: total times from rest are those of the pretrained policy in the median of 200 random
+sequences."""
 WARM_UP_STEPS = 3
 """Replans from hover that compile what most replans need."""
 
@@ -50,7 +51,8 @@ class EpisodeConfig:
 
 def available_planners() -> tuple[str, ...]:
     """Every planner whose weights are here."""
-    return tuple(name for name in PLANNERS if name not in LEARNED or (WEIGHTS / f"{name}.npz").is_file())
+    known = get_args(intercept.Planner)
+    return tuple(n for n in PLANNERS if n not in LEARNED or (n in known and (WEIGHTS / f"{n}.npz").is_file()))
 
 
 def check_names(worlds: tuple[str, ...], planners: tuple[str, ...], predictors: tuple[str, ...]) -> None:
@@ -131,9 +133,9 @@ def _scenario(world: str, planner: str) -> Scenario:
     # The noisy predictor has the most candidates; its planner serves the others too.
     config = intercept.InterceptConfig(world=world, planner=known, predictor="noisy")
     base = interception.prepare(config)
-    if planner not in (known, *LAWS):
-        policy = optimiser_policy(TIME_WEIGHT) if planner == "optimiser" else load_policy(planner)
-        own = build_planner(base.replanner.planner.config, world=base.world, vehicle=base.vehicle, policy=policy)
+    if planner == "optimiser":
+        policy, settings = optimiser_policy(TIME_WEIGHT), base.replanner.planner.config
+        own = build_planner(settings, world=base.world, vehicle=base.vehicle, policy=policy)
         unused = interception.predictor_for(config, base.world, base.target)
         base = dataclasses.replace(base, replanner=Replanner(own, unused, base.start))
     return dataclasses.replace(base, plant=_plant())

@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxplan.errors import InputError
 from jaxplan.experiment.definition import Experiment, Item, Row
+from jaxplan.feasibility.checkpoint import WEIGHTS as CLASSIFIERS
 from jaxplan.io.targets import stored_targets
 from jaxplan.policy.checkpoint import WEIGHTS
 from jaxplan.prediction import target_model
@@ -145,7 +146,7 @@ def evaluate(config: Config, item: Item) -> Row:
 def artefacts(config: Config) -> list[Path]:
     """Weights and mixtures that the cells use."""
     models = Path(target_model.__file__).parent / "models"
-    files = [WEIGHTS / f"{planner}.npz" for planner in config.planners]
+    files = [folder / f"{planner}.npz" for planner in config.planners for folder in (WEIGHTS, CLASSIFIERS)]
     if "gmm" in config.predictors:
         files += [models / f"{world}.npy" for world in config.worlds]
     return [path for path in files if path.is_file()]

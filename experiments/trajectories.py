@@ -12,10 +12,7 @@ from jaxplan.config import InterceptConfig, Planner, Predictor
 from jaxplan.errors import InputError
 from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
 from jaxplan.experiment.tables import as_latex, as_markdown
-from jaxplan.planner import build_planner
-from jaxplan.policy.checkpoint import load_policy, resolve_policy
-from jaxplan.policy.constant_speed import constant_speed_policy
-from jaxplan.replanner import Replanner
+from jaxplan.policy.checkpoint import resolve_policy
 from jaxplan.viz.candidates import candidate_curves
 from jaxplan.viz.trajectories import draw_moments
 from jaxplan.world.scene import load_world
@@ -72,13 +69,7 @@ def items(config: Config) -> list[Item]:
 def evaluate(config: Config, item: Item) -> Row:
     """Fly with every candidate evaluated, and keep some moments."""
     asked = config.intercept()
-    scenario = interception.prepare(asked)
-    settings = dataclasses.replace(scenario.replanner.planner.config, exhaustive=True)
-    policy = constant_speed_policy() if config.planner == "no-policy" else load_policy(config.planner)
-    planner = build_planner(settings, world=scenario.world, vehicle=scenario.vehicle, policy=policy)
-    predict = interception.predictor_for(asked, scenario.world, scenario.target)
-    scenario = dataclasses.replace(scenario, replanner=Replanner(planner, predict, scenario.start))
-    episode = interception.fly(scenario, lambda text, share: None)
+    episode = interception.fly(interception.prepare(asked, exhaustive=True), lambda text, share: None)
     telling = [cycle for cycle in episode.cycles if (cycle.plans.lanes >= 0).any()]
     places = np.unique(np.linspace(0, len(telling) - 1, config.moments).astype(int)) if telling else []
     flight = episode.flight

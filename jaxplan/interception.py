@@ -122,8 +122,12 @@ def run(config: InterceptConfig, progress: Progress | None = None) -> Episode:
     return fly(scenario, report, warmup_s=time.perf_counter() - began)
 
 
-def prepare(config: InterceptConfig) -> Scenario:
-    """Load everything a configuration names and check that it fits together."""
+def prepare(config: InterceptConfig, *, exhaustive: bool = False) -> Scenario:
+    """Load everything a configuration names and check that it fits together.
+
+    Args:
+        exhaustive: evaluate every candidate of a cycle, as ``PlannerConfig`` says.
+    """
     world = load_world(config.world)
     vehicle = load_vehicle()
     target = load_target(config.target, world=world.name, speed=config.speed)
@@ -131,7 +135,8 @@ def prepare(config: InterceptConfig) -> Scenario:
     prediction = prediction_config(world)
     count = candidate_count(config.predictor, prediction)
     planner_config = PlannerConfig(
-        buckets=tuple(sorted({APPROACH_LANES, *(n for n in (count // 4, count) if n > APPROACH_LANES)}))
+        exhaustive=exhaustive,
+        buckets=tuple(sorted({APPROACH_LANES, *(n for n in (count // 4, count) if n > APPROACH_LANES)})),
     )
     _check_target(target, world, distance)
     position = _start(config, world, target, planner_config.padding)

@@ -24,7 +24,7 @@ def origin(command: list[str], artefacts: list[Path]) -> dict[str, Any]:
             "memory_gib": _memory(),
             "system": platform.platform(),
         },
-        "artefacts": {path.name: sha256(path) for path in artefacts},
+        "artefacts": {"/".join(path.parts[-3:]): sha256(path) for path in artefacts},
     }
 
 
