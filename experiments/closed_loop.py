@@ -11,7 +11,7 @@ from jaxplan import config as intercept
 from jaxplan import interception
 from jaxplan.errors import InputError
 from jaxplan.interception import Episode, Scenario
-from jaxplan.io.targets import Target, load_target
+from jaxplan.io.targets import Target, load_target, stored_targets
 from jaxplan.planner import build_planner
 from jaxplan.policy.checkpoint import WEIGHTS
 from jaxplan.prediction.predictors import StepPredictor, build_predictor
@@ -31,8 +31,8 @@ PREDICTORS = ("none", "ground-truth", "noisy-0.01", "noisy-0.05", "gmm", "consta
 TIME_WEIGHT = 7.5e4
 """rho of the optimiser [m^2/s^8]: total times from rest are those of the pretrained policy in the median of 200 random
 sequences."""
-WARM_UP_STEPS = 3
-"""Replans from hover that compile what most replans need."""
+WARM_UP = ("noisy-0.05", "none")
+"""Predictors whose episodes compile nearly all that any episode calls: many candidates and few, met and approached."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -70,14 +70,10 @@ def check_names(worlds: tuple[str, ...], planners: tuple[str, ...], predictors: 
 
 
 def prepare(world: str, planner: str) -> None:
-    """Load a world and a planner, and compile what most of their episodes call."""
-    scenario = _scenario(world, planner)
-    episode = EpisodeConfig(
-        world=world, planner=planner, predictor="noisy-0.05", target="", speed=3.0, departure=0.5, seed=0
-    )
-    target = load_target(None, world=world, speed=3.0)
-    short = dataclasses.replace(target, duration=0.5 + 0.1 * WARM_UP_STEPS)
-    _fly(scenario, episode, short)
+    """Load a world and a planner, and fly what compiles most of what their episodes call."""
+    for predictor in WARM_UP[:1] if planner in LAWS else WARM_UP:
+        names = {"world": world, "planner": planner, "predictor": predictor, "target": stored_targets(world)[0]}
+        fly(EpisodeConfig(**names, speed=3.0, departure=0.5, seed=0))
 
 
 def fly(episode: EpisodeConfig) -> Episode:
