@@ -177,11 +177,13 @@ def _times(results: Results) -> str:
         place.setdefault((item.values["planner"], item.values["predictor"]), []).append(spent)
     every = [spent for some in warm.values() for spent in some]
     preparing = sum(results.prepare_seconds.values()) + sum(map(sum, cold.values()))
-    usual = float(np.mean(every)) if every else 0.0
+    if not every:
+        return f"Every episode compiled something ({duration(preparing)} in all): nothing can be extrapolated.\n"
+    usual = float(np.mean(every))
     each = [np.mean(warm.get(cell, usual)) for cell in {**warm, **cold}]
     full, longest = FULL * float(np.sum(each)), max(results.prepare_seconds.values(), default=0.0)
     return (
-        f"{len(every)} warm episodes took {duration(sum(every))} of a worker, {60.0 / max(usual, 1e-9):.0f} a minute; "
+        f"{len(every)} warm episodes took {duration(sum(every))} of a worker, {60.0 / usual:.0f} a minute; "
         f"compiling for {len(results.prepare_seconds)} planners and worlds took {duration(preparing)}.\n"
         f"Extrapolated to {FULL} episodes a cell: {duration(full + preparing)} with one worker, "
         f"{duration((full + preparing) / 2)} with 2, {duration(full / MANY + longest)} with {MANY} on as many cores.\n"

@@ -137,6 +137,8 @@ def test_the_report_of_made_up_rows_says_what_is_below_the_paper() -> None:
     assert "| pretrained, constant-velocity | 1.000 | 0.51 to 1.00 | - | - | 0 |" in found.markdown
     assert "Extrapolated to 3000 episodes a cell: 3.3 h with one worker, 1.7 h with 2" in found.summary
     assert r"\begin{tabular}" in found.latex
+    cold = report(results._replace(compiled=[True] * 8))
+    assert "Every episode compiled something (46 s in all): nothing can be extrapolated." in cold.summary
 
 
 def test_guidance_is_continuous_and_heads_for_the_target() -> None:
