@@ -172,7 +172,8 @@ def _client(workers: int, scheduler: str | None) -> "Iterator[Client]":
             "experiment: several processes need dask, which is not installed; pip install 'jaxplan[cluster]', or use "
             "--workers 0 to stay in this process"
         ) from error
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     if scheduler is not None:
         try:
             client = Client(scheduler, timeout=CONNECT_SECONDS)

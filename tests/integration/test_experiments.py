@@ -1,11 +1,13 @@
 """Experiments over dask, with workers that die, and the stored experiments at their smallest."""
 
+import contextlib
 import csv
 import itertools
 import json
 import os
 import random
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -237,6 +239,37 @@ def test_ctrl_c_over_workers_is_quiet_and_resumable(tmp_path: Path) -> None:
     assert "--resume" in said
     finished(started(NAME, "--resume", "--out", tmp_path))
     assert len(table(tmp_path)) == 48
+
+
+@pytest.mark.slow
+def test_a_scheduler_of_ones_own_and_its_loss(tmp_path: Path) -> None:
+    """The same results over somebody else's workers; when the scheduler dies, the run says so and can go on."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(TESTS.parent), str(TESTS)])}
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+    parts = (["scheduler", "--port", str(port), "--host", "127.0.0.1"], ["worker", address, "--nthreads", "1"])
+    with contextlib.ExitStack() as stack:
+        running = []
+        for name, *options in parts:
+            line = [sys.executable, "-m", f"distributed.cli.dask_{name}", *options, "--no-dashboard"]
+            running.append(subprocess.Popen(line, env=environment, cwd=tmp_path, stderr=subprocess.DEVNULL))
+            stack.callback(running[-1].wait)
+            stack.callback(running[-1].terminate)
+            time.sleep(4.0)
+        finished(started(NAME, "--preset", "small", "--scheduler", address, "--out", tmp_path / "all"))
+        assert len(table(tmp_path / "all")) == 12
+        run = started(NAME, "--preset", "full", "--sleep", 0.3, "--scheduler", address, "--out", tmp_path / "cut")
+        while len(list((tmp_path / "cut" / "shards").glob("[0-9]*.json"))) < 2:
+            assert run.poll() is None
+            time.sleep(0.05)
+        running[0].kill()
+        _, said = finished(run, code=12)
+    assert "the scheduler is gone; what is finished stays valid" in said
+    assert "Traceback" not in said
+    finished(started(NAME, "--resume", "--out", tmp_path / "cut", "--workers", 0))
+    assert [int(row["number"]) for row in table(tmp_path / "cut")] == list(range(48))
 
 
 @pytest.mark.slow
