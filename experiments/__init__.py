@@ -3,6 +3,7 @@
 NAMES = (
     "table1",
     "table2",
+    "policy-comparison",
     "alpha-iteration",
     "scale-factor",
     "prediction-comparison",

@@ -50,7 +50,13 @@ def flight(config: InterceptConfig, success: bool = True) -> Any:
     spline = PiecewisePolynomial(durations=np.ones(2), position=np.ones((2, 10, 3)), yaw=np.zeros((2, 6)))
     goal = np.zeros(3)
     plan = SimpleNamespace(
-        start_time=0.6, spline=spline, goal=goal, arrival_time=2.0, alpha=1.1, status=PlanStatus.INTERCEPT
+        start_time=0.6,
+        spline=spline,
+        goal=goal,
+        arrival_time=2.0,
+        alpha=1.1,
+        probability=0.9,
+        status=PlanStatus.INTERCEPT,
     )
     episode.plans = (plan,)
     return episode

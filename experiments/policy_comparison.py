@@ -1,0 +1,211 @@
+"""Learned policies beside minimum snap, in rooms that none of them was trained in.
+
+    jaxplan experiment policy-comparison --preset smoke|small|full
+
+Sequences and their minimum-snap labels are made anew, from seeds that no training set has. Each policy's flights are
+flown with noise, as the labels are; a flight fails beyond 0.20 m or 15 degrees. T_MS is the total time at which the
+label's rotors just keep their limits. The learning curve trains classifiers on growing numbers of rollouts of the
+shipped policy's flights near the boundary, with and without the low fidelity's labels of all of them.
+"""
+
+import dataclasses
+import functools
+
+import numpy as np
+
+from jaxplan.errors import InputError
+from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
+from jaxplan.experiment.statistics import wilson
+from jaxplan.experiment.tables import as_latex, as_markdown
+from jaxplan.feasibility.classifier import make_classifier
+from jaxplan.policy.checkpoint import load_policy, resolve_policy
+from jaxplan.tracking.result import TRAINING
+from jaxplan.tracking.track import track
+from jaxplan.training import active
+from jaxplan.training.classifier import ClassifierConfig, Labelled, train_classifier
+from jaxplan.training.dataset import DatasetConfig, build_flights, build_labels, make_shard
+from jaxplan.training.evaluate import policy_durations
+from jaxplan.training.scores import area_under_curve
+from jaxplan.training.sequences import take
+from jaxplan.vehicle.params import load_vehicle
+from jaxplan.viz.policy_comparison import draw_policy_comparison
+
+SEEDS = 1_000_000
+"""Added to the seed: no training set is made from as large a one."""
+FIDELITIES = {"rollouts alone": 0.0, "with rotor limits": 1.0}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Config:
+    """Which policies, on how many sequences."""
+
+    policies: tuple[str, ...] = ("pretrained", "mfrl")
+    """Names of shipped policies, or files."""
+
+    shards: int = 2
+    """Of 2,560 sequences each."""
+
+    sequences: int = 2560
+    """Of each shard, at most."""
+
+    labels: tuple[int, ...] = (125, 250, 500, 1000, 2000)
+    """Numbers of rollouts on the learning curve."""
+
+    steps: int = 1500
+    """Gradient steps of each classifier of the curve."""
+
+    seed: int = 0
+    """Seed of rooms, sequences and noise."""
+
+    def __post_init__(self) -> None:
+        if self.shards < 1 or not 1 <= self.sequences <= 2560 or self.seed < 0 or not self.policies:
+            have = f"--shards {self.shards} --sequences {self.sequences} --seed {self.seed}"
+            raise InputError(f"{have}: want at least 1 shard, 1 to 2560 sequences, a seed from 0 and a policy")
+        if self.steps < 1 or min(self.labels, default=1) < 1:
+            raise InputError(f"--labels {self.labels} --steps {self.steps}: want 1 or more of each")
+
+
+def items(config: Config) -> list[Item]:
+    flown = [Item(f"shard {index}", "flights", {"shard": index}) for index in range(config.shards)]
+    pairs = [(name, count) for count in config.labels for name in FIDELITIES]
+    return flown + [Item(f"{count} labels, {name}", "curve", {"labels": count, "kind": name}) for name, count in pairs]
+
+
+def evaluate(config: Config, item: Item) -> Row:
+    if item.group == "curve":
+        return _curve(config, item.values["labels"], FIDELITIES[item.values["kind"]])
+    queries, limits = _sequences(config, item.values["shard"])
+    found = {"label": _flown(queries, limits)}
+    for name in config.policies:
+        found[name] = _flown(queries, policy_durations(load_policy(name), queries))
+    return {"waypoints": queries.count.tolist(), **found}
+
+
+@functools.cache
+def _tools():
+    vehicle, config = load_vehicle(), DatasetConfig()
+    return vehicle, config, build_labels(vehicle, config.labels), build_flights(config.labels)
+
+
+@functools.cache
+def _sequences(config, shard):
+    """Labelled sequences of new rooms: queries and durations at the rotors' limits."""
+    _, made, label, fly = _tools()
+    seeded = dataclasses.replace(made, seed=SEEDS + config.seed)
+    found = make_shard(seeded, shard, label, fly)
+    good = np.flatnonzero(found.feasible)[: config.sequences]
+    return take(found.queries, good), found.durations[:, good]
+
+
+def _flown(queries, durations):
+    """Total times, tracking errors and verdicts, as lists."""
+    vehicle, _, _, fly = _tools()
+    result = track(fly(queries, durations), vehicle=vehicle, indices=10**6 + np.arange(len(queries.count)))
+    return {
+        "time": durations.sum(axis=0).tolist(),
+        "error": np.nan_to_num(result.max_position_error, nan=9.0).tolist(),
+        "tracked": np.asarray(result.feasible).tolist(),
+    }
+
+
+@functools.cache
+def _near_the_boundary(config):
+    """Motions of the last policy's flights, too fast to comfortable, with labels of both fidelities."""
+    vehicle, made, _, _ = _tools()
+    queries, _ = _sequences(config, config.shards)
+    rng = np.random.default_rng(config.seed)
+    durations = policy_durations(load_policy(config.policies[-1]), queries)
+    tried = active.perturbed(durations, (0.8, 1.15), 0.05, rng)
+    flights = active.build_solve(vehicle, made.labels)(queries, tried)
+    return flights, active.roll_out(flights, np.arange(len(queries.count)), vehicle, seed=1)
+
+
+def _curve(config, count, weight):
+    """Area under the curve on the last third, of a classifier that saw ``count`` rollouts of the others."""
+    flights, feasible = _near_the_boundary(config)
+    training = len(feasible) * 2 // 3
+    if count > training:
+        raise InputError(f"--labels {count}: have {training} flights to learn from; ask for fewer")
+    settings = ClassifierConfig(steps=config.steps, low_weight=weight, seed=config.seed)
+    low = Labelled(flights.motion[:training], flights.within_limits[:training])
+    model, _ = train_classifier(settings, low, Labelled(flights.motion[:count], feasible[:count]))
+    chance = active.judged(make_classifier(settings.features, model), flights.motion[training:])
+    return {"labels": count, "weight": weight, "auc": area_under_curve(chance, feasible[training:])}
+
+
+def report(results: Results) -> Report:
+    config = results.config
+    rows = [(item, row) for item, row in zip(results.items, results.rows, strict=True) if row is not None]
+    flown = [row for item, row in rows if item.group == "flights"]
+    names = ("label", *config.policies)
+    merged = {name: _merged(flown, name) for name in names}
+    waypoints = np.concatenate([np.asarray(row["waypoints"]) for row in flown])
+    table = [_summary(name, merged[name], merged["label"]) for name in names]
+    curve: dict[str, dict[int, float]] = {name: {} for name in FIDELITIES}
+    for item, row in rows:
+        if item.group == "curve":
+            curve[item.values["kind"]][item.values["labels"]] = row["auc"]
+    header = [column.replace("_", " ") for column in table[0]]
+    lines = [
+        [v if isinstance(v, str) else f"{v:.3f}" if isinstance(v, float) else str(v) for v in r.values()] for r in table
+    ]
+    markdown = as_markdown(header, lines)
+    scores = as_markdown(
+        ["rollout labels", *FIDELITIES],
+        [[str(count), *(f"{curve[name].get(count, np.nan):.3f}" for name in FIDELITIES)] for count in config.labels],
+    )
+    relative = {name: merged[name]["time"] / merged["label"]["time"] for name in config.policies}
+    failures = {name: _by_length(waypoints, ~merged[name]["tracked"]) for name in names}
+    return Report(
+        markdown=f"{markdown}\n![policies](policy_comparison.png)\n\nArea under the ROC curve:\n\n{scores}",
+        table=table,
+        latex=as_latex(header, lines, "Learned policies beside minimum snap"),
+        figures={
+            "policy_comparison.png": lambda path: draw_policy_comparison(
+                relative,
+                {name: merged[name]["error"] for name in names},
+                failures,
+                curve if config.labels else {},
+                path,
+                limit=TRAINING.position,
+            )
+        },
+        summary=markdown,
+    )
+
+
+def _merged(flown, name):
+    return {key: np.concatenate([np.asarray(row[name][key]) for row in flown]) for key in ("time", "error", "tracked")}
+
+
+def _summary(name, mine, label):
+    failed, count = int((~mine["tracked"]).sum()), len(mine["tracked"])
+    low, high = wilson(failed, count)
+    relative = mine["time"] / label["time"]
+    return {
+        "policy": name,
+        "flights": count,
+        "T_over_T_MS": float(relative.mean()),
+        "failed": failed / count,
+        "failed_low": low,
+        "failed_high": high,
+        "median_error_m": float(np.median(mine["error"])),
+    }
+
+
+def _by_length(waypoints, failed):
+    return {int(n): float(failed[waypoints == n].mean()) for n in np.unique(waypoints)}
+
+
+EXPERIMENT = Experiment(
+    summary="Fig. 2b: learned policies beside minimum snap: times, tracking errors, failures, the value of labels",
+    presets={
+        "smoke": Config(shards=1, sequences=256, labels=(100,), steps=50),
+        "small": Config(),
+        "full": Config(shards=8, labels=(125, 250, 500, 1000), steps=3000),
+    },
+    items=items,
+    evaluate=evaluate,
+    report=report,
+    artefacts=lambda config: [resolve_policy(name)[0] for name in config.policies],
+)
