@@ -2,7 +2,8 @@
 
 Each round flies the present policy on random sequences, spends rollouts where the classifier is least sure (and some at
 random, by which it is scored before it learns from them), trains the classifier on all labels so far, and reinforces
-the policy. A run is a folder: ``state.msgpack`` to go on from, ``labels-*.npz`` and ``metrics.jsonl``.
+the policy. A run is a folder: ``state.msgpack`` to go on from, ``labels-*.npz`` and ``metrics.jsonl``. It may be asked for
+more rounds later.
 """
 
 import dataclasses
@@ -172,7 +173,7 @@ def _resume(folder: Path, config: MfrlConfig, parameters: Any) -> Run:
     """The run in ``folder``, or a new one."""
     stated, saved = folder / "config.json", folder / "state.msgpack"
     wanted = json.loads(json.dumps(dataclasses.asdict(config)))
-    if stated.exists() and json.loads(stated.read_text()) != wanted:
+    if stated.exists() and json.loads(stated.read_text()) | {"rounds": config.rounds} != wanted:
         raise FileError(f"{folder}: holds a run of another configuration; choose another folder")
     stated.write_text(json.dumps(wanted, indent=1) + "\n")
     model = new_model(config.classifier.features, config.classifier.inducing, config.seed)

@@ -1,5 +1,6 @@
 """Reinforcement: the reward as written in the paper, steps that climb it, and runs that go on where they stopped."""
 
+import dataclasses
 import json
 
 import jax
@@ -133,7 +134,7 @@ def test_a_run_that_was_cut_off_ends_as_one_that_was_not(tmp_path, examples, par
     )
     vehicle = load_vehicle()
 
-    def run(folder, report=lambda text: None):
+    def run(folder, report=lambda text: None, config=config):
         return reinforce(folder, examples, vehicle, NETWORK, parameters, config, LabelConfig(), report)
 
     def stop(text):
@@ -142,6 +143,7 @@ def test_a_run_that_was_cut_off_ends_as_one_that_was_not(tmp_path, examples, par
     whole = run(tmp_path / "whole")
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path / "cut", stop)
+    assert run(tmp_path / "cut", config=dataclasses.replace(config, rounds=1)).done == 1
     cut = run(tmp_path / "cut")
     assert whole.done == cut.done == 2
     for left, right in zip(jax.tree.leaves(whole), jax.tree.leaves(cut), strict=True):
