@@ -1,4 +1,4 @@
-"""The policy's parts: encoder, one decoder pass, and the arrival matching.
+"""The policy's parts: encoder, one decoder pass, the arrival matching, and the classifier that judges its flights.
 
     jaxplan bench policy [--json FILE]
 
@@ -13,6 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxplan.arrival import ArrivalConfig, match_arrival
+from jaxplan.feasibility.checkpoint import load_classifier
+from jaxplan.minsnap.batch import fit_each
 from jaxplan.policy.checkpoint import load_policy
 from jaxplan.spline import FlatState
 
@@ -28,7 +30,7 @@ def sequences(lanes, waypoints, rng):
     return points - points[:1], count
 
 
-def measure(policy, lanes, waypoints, repeats):
+def measure(policy, classifier, lanes, waypoints, repeats):
     rng = np.random.default_rng(0)
     points, count = sequences(lanes, waypoints, rng)
     derivatives = rng.normal(size=(5, 3)) * np.array([[0.0], [2.0], [3.0], [5.0], [10.0]])
@@ -50,20 +52,23 @@ def measure(policy, lanes, waypoints, repeats):
     matched = _harness.timed(match, context, times, repeats=repeats)
     passes = {"median_passes": float(np.median(calls)), "most_passes": int(calls.max())}
     yield {"part": "match arrival", **shape, **matched, **passes}
+    splines = jax.jit(fit_each, static_argnums=3)(states, points, decode(context, states), 1.5)
+    yield {"part": "classify", **shape, **_harness.timed(jax.jit(classifier.predict), splines, repeats=repeats)}
 
 
 def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, help="save the rows, with hardware, versions and commit")
-    parser.add_argument("--policy", default="pretrained")
+    parser.add_argument("--policy", default="mfrl")
+    parser.add_argument("--classifier", default="mfrl")
     parser.add_argument("--repeats", type=int, default=50)
     chosen = parser.parse_args(arguments)
     rows = []
     with jax.enable_x64(True):
-        policy = load_policy(chosen.policy)
+        policy, classifier = load_policy(chosen.policy), load_classifier(chosen.classifier)
         for lanes in (36, 400, 2048):
             for waypoints in (7, 14):
-                rows += measure(policy, lanes, waypoints, chosen.repeats)
+                rows += measure(policy, classifier, lanes, waypoints, chosen.repeats)
     _harness.show(rows)
     if chosen.json:
         _harness.write(chosen.json, rows)

@@ -9,6 +9,7 @@ from typing import Any
 _HOMES = {
     "jaxplan.config": ("InterceptConfig",),
     "jaxplan.errors": ("FileError", "InputError", "JaxplanError", "ResourceError"),
+    "jaxplan.feasibility.checkpoint": ("load_classifier",),
     "jaxplan.interception": ("Episode", "run"),
     "jaxplan.io.targets": ("load_target",),
     "jaxplan.metrics": ("episode_metrics",),

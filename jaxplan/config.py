@@ -7,7 +7,7 @@ from typing import Literal, get_args
 from jaxplan.errors import InputError
 
 Predictor = Literal["none", "ground-truth", "noisy", "constant-velocity", "constant-acceleration", "gmm"]
-Planner = Literal["no-policy", "pretrained"]
+Planner = Literal["no-policy", "pretrained", "mfrl"]
 
 _FASTEST_TARGET = 50.0
 """m/s; arbitrary, far above any vehicle here: a larger value is a mistake of units."""
@@ -31,8 +31,9 @@ class InterceptConfig:
     target_model: str | None = None
     """A mixture for --predictor gmm (.npy, see jaxplan train gmm). Default: the world's own, or the generic one."""
 
-    planner: Planner = "pretrained"
-    """Who allots the times between waypoints; no-policy: distance / 2.5 m/s; pretrained: the learned policy."""
+    planner: Planner = "mfrl"
+    """Who allots the times between waypoints; no-policy: distance / 2.5 m/s; pretrained: a policy that imitates the
+    optimiser; mfrl: the same, reinforced, with the feasibility classifier in place of the rotor limits."""
 
     speed: float | None = None
     """The target's maximum speed [m/s]. Default: 1 for a stored target, as recorded for a flight."""

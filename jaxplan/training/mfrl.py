@@ -2,8 +2,8 @@
 
 Each round flies the present policy on random sequences, spends rollouts where the classifier is least sure (and some at
 random, by which it is scored before it learns from them), trains the classifier on all labels so far, and reinforces
-the policy. A run is a folder: ``state.msgpack`` to go on from, ``labels-*.npz`` and ``metrics.jsonl``. It may be asked for
-more rounds later.
+the policy. A run is a folder: ``state.msgpack`` to go on from, ``labels-*.npz`` and ``metrics.jsonl``. It may be asked
+for more rounds later.
 """
 
 import dataclasses
