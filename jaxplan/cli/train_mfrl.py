@@ -101,7 +101,7 @@ def _make(
         "command": command,
         "config": dataclasses.asdict(config),
         "data": {"sha256": digest(data / "dataset.json"), **dataclasses.asdict(made)},
-        "rollouts": config.first_labels + (config.rounds - 1) * (config.chosen + config.random),
+        "rollouts": config.first_labels + (config.rounds - 1) * (config.chosen + config.random) + config.calibration,
     }
     features = config.classifier.features
     save_policy(out, network, found.learner.parameters, card)

@@ -15,8 +15,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxplan.errors import FileError
-from jaxplan.feasibility.classifier import Classifier
-from jaxplan.feasibility.features import motion_features
+from jaxplan.feasibility.classifier import Classifier, Model, high_inputs
+from jaxplan.feasibility.features import FeatureConfig, motion_features
+from jaxplan.feasibility.gaussian_process import marginals
 from jaxplan.minsnap.batch import SplineBatch
 from jaxplan.numerics import in_float64
 from jaxplan.tracking.track import track
@@ -93,6 +94,15 @@ def judged(classifier: Classifier, motion: Float[np.ndarray, "n p f"]) -> Float[
 
 
 _judge = jax.jit(lambda classifier, motion: classifier.judge(motion).probability)
+
+
+def latents(
+    config: FeatureConfig, model: Model, motion: Float[np.ndarray, "n p f"]
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Mean and variance of the high fidelity's latent function for many flights (host)."""
+    find = jax.jit(lambda some: marginals(model.high, high_inputs(config, model, some)))
+    parts = [find(jnp.asarray(part)) for part in np.array_split(motion, -(-len(motion) // LANES))]
+    return tuple(np.concatenate(leaves) for leaves in zip(*parts, strict=True))  # type: ignore[return-value]
 
 
 def save_labels(path: Path, low: Labelled, high: Labelled) -> None:

@@ -5,14 +5,17 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float
+from scipy.optimize import minimize
+from scipy.special import ndtr
 
 from jaxplan.errors import InputError
 from jaxplan.feasibility.classifier import Model, high_inputs, low_inputs, new_model
 from jaxplan.feasibility.features import FeatureConfig
-from jaxplan.feasibility.gaussian_process import lower_bound
+from jaxplan.feasibility.gaussian_process import Related, lower_bound
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,6 +72,28 @@ def train_classifier(
         state, loss = advance(state, *drawn, len(low.feasible), len(high.feasible))
         losses.append(loss)
     return state.model, float(np.mean(losses[-max(config.steps // 10, 1) :]))
+
+
+def calibrate(model: Model, mean: Float[Array, "n"], variance: Float[Array, "n"], feasible: Bool[Array, "n"]) -> Model:
+    """The model with its latent f replaced by a f + b, most likely for rollouts that it has not learnt from (host).
+
+    Args:
+        mean: posterior of the high fidelity's f at those rollouts, as is ``variance``.
+    """
+    positive = np.asarray(feasible)
+
+    def loss(values: Float[np.ndarray, "2"]) -> float:
+        scale, shift = np.exp(values[0]), values[1]
+        chance = ndtr((scale * np.asarray(mean, float) + shift) / np.sqrt(1.0 + scale**2 * np.asarray(variance, float)))
+        return -float(np.mean(np.log(np.maximum(np.where(positive, chance, 1.0 - chance), 1e-12))))
+
+    log_scale, shift = minimize(loss, np.zeros(2), method="Nelder-Mead").x
+    kernel = model.high.kernel
+    assert isinstance(kernel, Related)
+    own = kernel.own._replace(log_scale=kernel.own.log_scale + log_scale)
+    correlation = kernel.correlation._replace(log_scale=kernel.correlation.log_scale + log_scale)
+    offset = jnp.float32(np.exp(log_scale) * model.high.offset + shift)
+    return model._replace(high=model.high._replace(kernel=Related(own, correlation, kernel.low), offset=offset))
 
 
 def _build_advance(config: ClassifierConfig) -> Callable[..., tuple[_State, Array]]:

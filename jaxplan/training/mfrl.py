@@ -24,7 +24,7 @@ from jaxplan.feasibility.classifier import Model, make_classifier, new_model
 from jaxplan.numerics import in_float64
 from jaxplan.policy.network import NetworkConfig, PolicyNetwork
 from jaxplan.training import active
-from jaxplan.training.classifier import ClassifierConfig, Labelled, train_classifier
+from jaxplan.training.classifier import ClassifierConfig, Labelled, calibrate, train_classifier
 from jaxplan.training.examples import Examples, as_queries, batches, lanes_of
 from jaxplan.training.labels import LabelConfig
 from jaxplan.training.reinforce import Learner, ReinforceConfig, build_climb, log_durations, start_learning
@@ -50,6 +50,8 @@ class MfrlConfig:
     """Rollouts of each round by variation ratio."""
     random: int = 128
     """Rollouts of each round at random."""
+    calibration: int = 2048
+    """Rollouts at the end, at random, on which the classifier's probabilities are set right."""
     span: tuple[float, float] = (0.8, 1.15)
     """Factors of the policy's durations that are tried."""
     noise: float = 0.05
@@ -60,7 +62,7 @@ class MfrlConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("first_steps", "first_labels", "rounds", "pool", "steps", "batch"):
+        for name in ("first_steps", "first_labels", "rounds", "pool", "steps", "batch", "calibration"):
             if getattr(self, name) < 1:
                 raise InputError(f"mfrl: {name} is {getattr(self, name)}, want 1 or more")
         if self.chosen + self.random > self.pool or min(self.chosen, self.random) < 0:
@@ -116,7 +118,7 @@ def reinforce(
             f"round {index + 1} of {config.rounds}: T / T_MS {means.relative_time:.3f}, P {means.probability:.3f}; "
             f"classifier on fresh rollouts: AUC {row['auc']:.3f}, Brier {row['brier']:.3f}"
         )
-    return run
+    return run._replace(model=_calibrated(run, examples, vehicle, solve, durations, config))
 
 
 def _label(
@@ -145,6 +147,23 @@ def _label(
     active.save_labels(_labels_of(folder, index), low, Labelled(flights.motion[lanes], feasible))
     scores = binary_scores(believed[unbiased], feasible[: len(unbiased)])
     return {"tracked_at_random": float(feasible[: len(unbiased)].mean()), "rollouts": len(lanes), **scores}
+
+
+def _calibrated(
+    run: Run,
+    examples: Examples,
+    vehicle: Vehicle,
+    solve: active.Solve,
+    durations: Callable[..., Float[np.ndarray, "m n"]],
+    config: MfrlConfig,
+) -> Model:
+    """The final model, its probabilities set right on fresh rollouts of the final policy, unseen in training."""
+    rng = np.random.default_rng([config.seed, config.rounds, 2])
+    some = lanes_of(examples, rng.integers(len(examples.count), size=config.calibration))
+    tried = active.perturbed(_in_parts(durations, run, some), config.span, config.noise, rng)
+    flights = solve(as_queries(some), np.where(some.durations > 0.0, tried, 0.0))
+    feasible = active.roll_out(flights, np.arange(config.calibration), vehicle, seed=config.seed + config.rounds)
+    return calibrate(run.model, *active.latents(config.classifier.features, run.model, flights.motion), feasible)
 
 
 def _in_parts(durations: Callable[..., Any], run: Run, some: Examples) -> Float[np.ndarray, "m n"]:

@@ -25,7 +25,8 @@ from jaxplan.feasibility.gaussian_process import (
 )
 from jaxplan.minsnap.batch import fit_each
 from jaxplan.spline import FlatState
-from jaxplan.training.classifier import ClassifierConfig, Labelled, train_classifier
+from jaxplan.training.active import latents
+from jaxplan.training.classifier import ClassifierConfig, Labelled, calibrate, train_classifier
 from jaxplan.training.scores import area_under_curve, binary_scores
 
 SMALL = FeatureConfig(width=8, latent=3)
@@ -180,6 +181,20 @@ def test_a_classifier_learns_and_is_the_same_from_its_file(tmp_path):
     path.write_bytes(bytes(content))
     with pytest.raises(FileError, match=r"mine\.npz"):
         load_classifier(path)
+
+
+def test_calibration_undoes_a_wrong_scale_and_offset():
+    """An overconfident, optimistic model, set right on labels drawn from the honest probabilities."""
+    rng = np.random.default_rng(0)
+    honest = rng.normal(size=4000)
+    feasible = rng.random(4000) < norm.cdf(honest)
+    model = random_model()
+    found = calibrate(model, 3.0 * honest + 1.0, np.zeros(4000), feasible)
+    assert float(found.high.kernel.own.log_scale) == pytest.approx(-np.log(3.0), abs=0.1)
+    assert float(found.high.offset) == pytest.approx(-1.0 / 3.0, abs=0.1)
+    motion = jnp.asarray(learnable(50, 1)[0])
+    for before, after in zip(latents(SMALL, model, motion), latents(SMALL, found, motion), strict=True):
+        assert np.corrcoef(before, after)[0, 1] > 0.99
 
 
 def test_gradients_reach_the_durations():

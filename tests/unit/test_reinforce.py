@@ -130,7 +130,16 @@ def test_a_run_that_was_cut_off_ends_as_one_that_was_not(tmp_path, examples, par
     """Two rounds with rollouts, in one go and with a stop after the first."""
     small = ClassifierConfig(features=FEATURES, inducing=8, steps=10, batch=32)
     config = MfrlConfig(
-        classifier=small, first_steps=20, first_labels=64, rounds=2, pool=64, chosen=16, random=16, steps=3, batch=16
+        classifier=small,
+        first_steps=20,
+        first_labels=64,
+        rounds=2,
+        pool=64,
+        chosen=16,
+        random=16,
+        steps=3,
+        batch=16,
+        calibration=64,
     )
     vehicle = load_vehicle()
 
