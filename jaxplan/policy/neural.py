@@ -28,7 +28,8 @@ def neural_policy(name: str, config: NetworkConfig, parameters: Any) -> Policy:
 
     def decode(context: tuple[Memory, Frame], initial: FlatState) -> Float[Array, "m k"]:
         memory, frame = context
-        return allocate_times(network, parameters, memory, frame, initial).astype(jnp.asarray(initial.derivatives).dtype)
+        precision = jnp.asarray(initial.derivatives).dtype
+        return allocate_times(network, parameters, memory, frame, initial).astype(precision)
 
     return Policy(name, encode, decode)
 
