@@ -180,7 +180,7 @@ class Replanner:
             arrival_time=takeover + float(plans.arrival_times[chosen]),
             alpha=float(plans.alpha[chosen]),
             status=status,
-            probability=float(plans.margins.probability[plans.lanes[chosen]]),
+            probability=float(np.asarray(plans.margins.probability)[plans.lanes[chosen]]),
         )
         self.plans.append(plan)
         jump = np.abs(spline.state(0.0).derivatives - state.derivatives).max(axis=-1)

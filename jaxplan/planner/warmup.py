@@ -18,11 +18,25 @@ from jaxplan.spline import FlatState
 
 
 def compile_all(stations: Stations, config: PlannerConfig, state: FlatState) -> None:
-    """Call every station with zeros of every shape that a replan may bring; the longest to compile come first."""
+    """Call every station with zeros of every shape that a replan may bring; the longest to compile come first.
+
+    Then each with what the one before it returns: zeros do not tell which numbers are weakly typed.
+    """
     calls = sorted(_calls(stations, config, state), key=lambda call: -call[0])
     run = in_float64(lambda call: jax.block_until_ready(call[1]()))
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
         list(pool.map(run, calls))
+    for bucket in config.buckets:
+        paths = np.tile(np.asarray(state.pos), (bucket, config.path_capacity, 1))
+        for length in LENGTHS:
+            some = shortened(stations.route(paths, np.ones(bucket)), length)
+            context, _ = stations.read(some, state)
+            if bucket == config.buckets[0]:
+                jax.block_until_ready(stations.trace(state, some, stations.stretch(some, state, np.ones(bucket))))
+            for size in {bucket} if config.exhaustive else set(round_sizes(config.buckets)):
+                lanes = np.zeros(size, dtype=int)
+                arrival = stations.match(stations.pick(context, lanes), state, np.ones(size))
+                jax.block_until_ready(stations.trace(state, stations.pick(some, lanes), arrival.durations))
 
 
 def _calls(stations: Stations, config: PlannerConfig, state: FlatState) -> Iterator[tuple[int, Callable[[], Any]]]:

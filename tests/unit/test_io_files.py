@@ -68,6 +68,7 @@ class Plan:
     arrival_time: float
     alpha: float
     status: PlanStatus
+    probability: float = 0.9
 
 
 def random_plan(seed: int, segments: int) -> Plan:
