@@ -29,8 +29,8 @@ PLANNERS = ("no-policy", *LEARNED, "optimiser", *LAWS)
 PREDICTORS = ("none", "ground-truth", "noisy-0.01", "noisy-0.05", "gmm", "constant-velocity")
 """``noisy-S`` has the standard deviation S [m] after one step; any S will do."""
 TIME_WEIGHT = 7.5e4
-"""rho of the optimiser [m^2/s^8]: total times from rest are those of the pretrained policy in the median of 200 random
-sequences."""
+"""rho of the optimiser [m^2/s^8]: total times from rest are those of an earlier pretrained policy in the median of 200
+random sequences."""
 WARM_UP = ("noisy-0.05", "none")
 """Predictors whose episodes compile nearly all that any episode calls: many candidates and few, met and approached."""
 

@@ -11,7 +11,6 @@ The high fidelity's kernel relates it to the low one's posterior mean f_low(z) (
 2017; Li et al., MFRL): k_own(z, z') + k_corr(z, z') (k_f(f_low, f_low') + f_low f_low').
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -24,8 +23,6 @@ JITTER = 1e-4
 """Added to the diagonal of k(Z, Z), relative to its largest entry; float32 needs as much."""
 NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(20)
 """Gauss-Hermite rule for expectations under N(0, 1); the weights add up to sqrt(2 pi)."""
-
-Kernel = Callable[[Float[Array, "n d"], Float[Array, "m d"]], Float[Array, "n m"]]
 
 
 class Rbf(NamedTuple):

@@ -1,7 +1,7 @@
 """Labels of both fidelities for a policy's flights, spent where the classifier is least sure.
 
-The variation ratio 1 - max(P, 1 - P) is largest where P is 1/2 (MFRL, Sec. III). Labels are kept and replayed; the two
-classes stay of one size because flights are tried from too fast to comfortably slow.
+The variation ratio 1 - max(P, 1 - P) is largest where P is 1/2 (MFRL, Sec. III). Labels are kept and replayed; both
+classes stay common because flights are tried from too fast to comfortably slow.
 """
 
 import math

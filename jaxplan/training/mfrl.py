@@ -8,7 +8,6 @@ for more rounds later.
 
 import dataclasses
 import json
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +18,7 @@ import numpy as np
 from flax import serialization
 from jaxtyping import Float
 
-from jaxplan.errors import FileError, InputError
+from jaxplan.errors import InputError
 from jaxplan.feasibility.classifier import Model, make_classifier, new_model
 from jaxplan.numerics import in_float64
 from jaxplan.policy.network import NetworkConfig, PolicyNetwork
@@ -28,6 +27,7 @@ from jaxplan.training.classifier import ClassifierConfig, Labelled, calibrate, t
 from jaxplan.training.examples import Examples, as_queries, batches, lanes_of
 from jaxplan.training.labels import LabelConfig
 from jaxplan.training.reinforce import Learner, ReinforceConfig, build_climb, log_durations, start_learning
+from jaxplan.training.runs import claim, write_whole
 from jaxplan.training.scores import binary_scores
 from jaxplan.vehicle.params import Vehicle
 
@@ -94,13 +94,12 @@ def reinforce(
         examples: training sequences with their minimum-snap labels.
         parameters: the pretrained weights.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     run = _resume(folder, config, parameters)
-    solve = active.build_solve(vehicle, labels)
     climb = in_float64(build_climb(network, parameters, config.reinforce))
     durations = in_float64(jax.jit(lambda weights, some: jnp.exp(log_durations(PolicyNetwork(network), weights, some))))
+    airfield = _Airfield(config, examples, vehicle, active.build_solve(vehicle, labels), durations)
     for index in range(run.done, config.rounds):
-        row = _label(folder, index, run, examples, vehicle, solve, durations, config)
+        row = _label(folder, index, run, airfield)
         run = _teach(folder, index, run, config)
         classifier = make_classifier(config.classifier.features, run.model)
         learner, earned = run.learner, []
@@ -110,7 +109,7 @@ def reinforce(
             earned.append(found)
         means = jax.tree.map(lambda *leaves: float(np.mean(leaves)), *earned)
         run = Run(learner, run.model, index + 1)
-        _write(folder / "state.msgpack", serialization.to_bytes(_savable(run)))
+        write_whole(folder / "state.msgpack", serialization.to_bytes(_savable(run)))
         row |= {"round": index + 1, **means._asdict(), "deviation": float(np.exp(learner.log_deviation))}
         with (folder / "metrics.jsonl").open("a") as log:
             log.write(json.dumps(row) + "\n")
@@ -118,63 +117,54 @@ def reinforce(
             f"round {index + 1} of {config.rounds}: T / T_MS {means.relative_time:.3f}, P {means.probability:.3f}; "
             f"classifier on fresh rollouts: AUC {row['auc']:.3f}, Brier {row['brier']:.3f}"
         )
-    return run._replace(model=_calibrated(run, examples, vehicle, solve, durations, config))
+    return run._replace(model=_calibrated(run, airfield))
 
 
-def _label(
-    folder: Path,
-    index: int,
-    run: Run,
-    examples: Examples,
-    vehicle: Vehicle,
-    solve: active.Solve,
-    durations: Callable[..., Float[np.ndarray, "m n"]],
-    config: MfrlConfig,
-) -> dict[str, Any]:
+class _Airfield(NamedTuple):
+    """What flights of a policy are made of."""
+
+    config: MfrlConfig
+    examples: Examples
+    vehicle: Vehicle
+    solve: active.Solve
+    durations: Callable[..., Float[np.ndarray, "m n"]]
+    """(weights, sequences): a policy's durations [s]."""
+
+    def try_out(self, run: Run, size: int, rng: np.random.Generator) -> active.Flights:
+        """Noisy flights of the present policy on random sequences."""
+        some = lanes_of(self.examples, rng.integers(len(self.examples.count), size=size))
+        filled = np.resize(np.arange(size), -(-size // active.LANES) * active.LANES)
+        parts = [
+            np.asarray(self.durations(run.learner.parameters, lanes_of(some, lanes)), float)
+            for lanes in np.split(filled, len(filled) // active.LANES)
+        ]
+        durations = np.concatenate(parts, axis=-1)[:, :size]
+        tried = active.perturbed(durations, self.config.span, self.config.noise, rng)
+        return self.solve(as_queries(some), np.where(some.durations > 0.0, tried, 0.0))
+
+
+def _label(folder: Path, index: int, run: Run, airfield: _Airfield) -> dict[str, Any]:
     """Fly, choose, roll out and keep one round's labels; the classifier's scores on those taken at random."""
-    rng = np.random.default_rng([config.seed, index, 1])
-    first = index == 0
+    config, first = airfield.config, index == 0
     size = config.first_labels if first else config.pool
-    some = lanes_of(examples, rng.integers(len(examples.count), size=size))
-    tried = active.perturbed(_in_parts(durations, run, some), config.span, config.noise, rng)
-    flights = solve(as_queries(some), np.where(some.durations > 0.0, tried, 0.0))
+    flights = airfield.try_out(run, size, np.random.default_rng([config.seed, index, 1]))
     believed = active.judged(make_classifier(config.classifier.features, run.model), flights.motion)
     unbiased = np.arange(size if first else config.random)
     chosen = np.arange(0) if first else len(unbiased) + active.least_certain(believed[len(unbiased) :], config.chosen)
     lanes = np.concatenate([unbiased, chosen])
-    feasible = active.roll_out(flights, lanes, vehicle, seed=config.seed + index)
+    feasible = active.roll_out(flights, lanes, airfield.vehicle, seed=config.seed + index)
     low = Labelled(flights.motion, flights.within_limits)
     active.save_labels(_labels_of(folder, index), low, Labelled(flights.motion[lanes], feasible))
     scores = binary_scores(believed[unbiased], feasible[: len(unbiased)])
     return {"tracked_at_random": float(feasible[: len(unbiased)].mean()), "rollouts": len(lanes), **scores}
 
 
-def _calibrated(
-    run: Run,
-    examples: Examples,
-    vehicle: Vehicle,
-    solve: active.Solve,
-    durations: Callable[..., Float[np.ndarray, "m n"]],
-    config: MfrlConfig,
-) -> Model:
+def _calibrated(run: Run, airfield: _Airfield) -> Model:
     """The final model, its probabilities set right on fresh rollouts of the final policy, unseen in training."""
-    rng = np.random.default_rng([config.seed, config.rounds, 2])
-    some = lanes_of(examples, rng.integers(len(examples.count), size=config.calibration))
-    tried = active.perturbed(_in_parts(durations, run, some), config.span, config.noise, rng)
-    flights = solve(as_queries(some), np.where(some.durations > 0.0, tried, 0.0))
-    feasible = active.roll_out(flights, np.arange(config.calibration), vehicle, seed=config.seed + config.rounds)
+    config, size = airfield.config, airfield.config.calibration
+    flights = airfield.try_out(run, size, np.random.default_rng([config.seed, config.rounds, 2]))
+    feasible = active.roll_out(flights, np.arange(size), airfield.vehicle, seed=config.seed + config.rounds)
     return calibrate(run.model, *active.latents(config.classifier.features, run.model, flights.motion), feasible)
-
-
-def _in_parts(durations: Callable[..., Any], run: Run, some: Examples) -> Float[np.ndarray, "m n"]:
-    """The policy's durations, in batches of one size."""
-    size = len(some.count)
-    filled = np.resize(np.arange(size), -(-size // active.LANES) * active.LANES)
-    parts = [
-        np.asarray(durations(run.learner.parameters, lanes_of(some, lanes)), float)
-        for lanes in np.split(filled, len(filled) // active.LANES)
-    ]
-    return np.concatenate(parts, axis=-1)[:, :size]
 
 
 def _teach(folder: Path, index: int, run: Run, config: MfrlConfig) -> Run:
@@ -190,11 +180,8 @@ def _teach(folder: Path, index: int, run: Run, config: MfrlConfig) -> Run:
 
 def _resume(folder: Path, config: MfrlConfig, parameters: Any) -> Run:
     """The run in ``folder``, or a new one."""
-    stated, saved = folder / "config.json", folder / "state.msgpack"
-    wanted = json.loads(json.dumps(dataclasses.asdict(config)))
-    if stated.exists() and json.loads(stated.read_text()) | {"rounds": config.rounds} != wanted:
-        raise FileError(f"{folder}: holds a run of another configuration; choose another folder")
-    stated.write_text(json.dumps(wanted, indent=1) + "\n")
+    claim(folder, config, free=("rounds",))
+    saved = folder / "state.msgpack"
     model = new_model(config.classifier.features, config.classifier.inducing, config.seed)
     fresh = Run(start_learning(parameters, config.reinforce), model, 0)
     if not saved.exists():
@@ -211,10 +198,3 @@ def _savable(run: Run) -> dict[str, Any]:
 
 def _labels_of(folder: Path, index: int) -> Path:
     return folder / f"labels-{index:04d}.npz"
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Whole or not at all."""
-    temporary = path.with_suffix(".part")
-    temporary.write_bytes(content)
-    os.replace(temporary, path)

@@ -7,7 +7,6 @@ best weights so far.
 
 import dataclasses
 import json
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,13 +18,14 @@ import optax
 from flax import serialization
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from jaxplan.errors import FileError, InputError
+from jaxplan.errors import InputError
 from jaxplan.policy.features import SEGMENT_FEATURES, STATE_FEATURES
 from jaxplan.policy.network import Bottleneck, NetworkConfig, PolicyNetwork
 from jaxplan.policy.neural import allocate_times, read_sequences
 from jaxplan.search.knots import MAX_WAYPOINTS
 from jaxplan.spline import FlatState
 from jaxplan.training.examples import Examples, batches, lanes_of, load_examples
+from jaxplan.training.runs import claim, write_whole
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,7 +125,6 @@ def pretrain(
     folder: Path, data: Path, config: PretrainConfig, report: Callable[[str], None] = print
 ) -> tuple[State, Error]:
     """Train until the end or until nothing improves; goes on where ``folder`` was left."""
-    folder.mkdir(parents=True, exist_ok=True)
     training, held_out = load_examples(data, held_out=False), load_examples(data, held_out=True)
     state, best, stale = _resume(folder, config)
     advance = build_step(config)
@@ -139,8 +138,8 @@ def pretrain(
         better = error.overall < best
         best, stale = (error.overall, 0) if better else (best, stale + 1)
         if better:
-            _write(folder / "best.msgpack", serialization.to_bytes(state.averaged))
-        _write(folder / "state.msgpack", serialization.to_bytes((state._asdict(), best, stale)))
+            write_whole(folder / "best.msgpack", serialization.to_bytes(state.averaged))
+        write_whole(folder / "state.msgpack", serialization.to_bytes((state._asdict(), best, stale)))
         row = {"step": step, "loss": float(loss), "error": error.overall, "bias": error.mean}
         with (folder / "metrics.jsonl").open("a") as log:
             log.write(json.dumps(row) + "\n")
@@ -185,23 +184,13 @@ def _optimiser(config: PretrainConfig) -> optax.GradientTransformation:
 
 def _resume(folder: Path, config: PretrainConfig) -> tuple[State, float, int]:
     """The run in ``folder``, or a new one."""
-    stated, saved = folder / "config.json", folder / "state.msgpack"
-    wanted = json.loads(json.dumps(dataclasses.asdict(config)))
-    if stated.exists() and json.loads(stated.read_text()) != wanted:
-        raise FileError(f"{folder}: holds a run of another configuration; choose another folder")
-    stated.write_text(json.dumps(wanted, indent=1) + "\n")
+    claim(folder, config)
+    saved = folder / "state.msgpack"
     fresh = start_training(config)
     if not saved.exists():
         return fresh, np.inf, 0
     fields, best, stale = serialization.from_bytes((fresh._asdict(), 0.0, 0), saved.read_bytes())
     return State(**fields), float(best), int(stale)
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Whole or not at all."""
-    temporary = path.with_suffix(".part")
-    temporary.write_bytes(content)
-    os.replace(temporary, path)
 
 
 def _mirrored(batch: Examples, key: PRNGKeyArray) -> Examples:
