@@ -9,6 +9,7 @@ optimiser: without limits (a) and within the rotors' limits (c), from rest and w
 """
 
 import argparse
+import dataclasses
 import functools
 import time
 from pathlib import Path
@@ -20,10 +21,9 @@ from jaxplan import interception
 from jaxplan.config import InterceptConfig
 from jaxplan.minsnap.allocation import time_allocation
 from jaxplan.numerics import in_float64
-from jaxplan.planner import APPROACH_LANES, PlannerConfig, Timer, build_planner
-from jaxplan.policy.checkpoint import load_policy
-from jaxplan.policy.constant_speed import constant_speed_policy
+from jaxplan.planner import Timer
 from jaxplan.prediction.candidates import candidates_from
+from jaxplan.replanner import Replanner
 from jaxplan.search.knots import KnotConfig, select_route
 from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes
@@ -36,23 +36,19 @@ PAPER = {"search + knots": 9.5, "policy": 71.2, "total": 99.4}
 """Milliseconds on the paper's GPU (Table II; the total includes 18.7 ms of prediction)."""
 
 
-def recorded_cycles(world, policy, departures):
-    """(state, candidates) of every cycle of some episodes, and the scenario they were flown in."""
-    scenario, kept = None, []
+def recorded_cycles(scenario, predictor, departures):
+    """(state, candidates) of every cycle of some episodes."""
+    kept, planner = [], scenario.replanner.planner
+
+    def recording(state, candidates, timer=None):
+        kept.append((state, jax.tree.map(np.asarray, candidates)))
+        return planner.plan_batch(state, candidates, timer)
+
     for seed, departure in enumerate(departures):
-        config = InterceptConfig(
-            world=world, predictor="noisy", planner=policy, speed=3.0, departure=departure, seed=seed
-        )
-        scenario = interception.prepare(config)
-        plan_batch = scenario.replanner.planner.plan_batch
-
-        def recording(state, candidates, timer=None, plan_batch=plan_batch):
-            kept.append((state, jax.tree.map(np.asarray, candidates)))
-            return plan_batch(state, candidates, timer)
-
-        scenario.replanner.planner = scenario.replanner.planner._replace(plan_batch=recording)
-        interception.fly(scenario, lambda text, share: None)
-    return scenario, kept
+        replanner = Replanner(planner._replace(plan_batch=recording), predictor, scenario.start)
+        flight = dataclasses.replace(scenario, replanner=replanner, departure=departure, seed=seed)
+        interception.fly(flight, lambda text, share: None)
+    return kept
 
 
 def some_candidates(candidates, count, rng):
@@ -67,24 +63,20 @@ def some_candidates(candidates, count, rng):
     )
 
 
-def chosen_policy(name):
-    return constant_speed_policy() if name == "no-policy" else load_policy(name)
-
-
 def measure(world, policy, counts, departures, cycles, seed=0, optimiser=True):
     """Rows of one environment, with those of the optimiser on the same sequences unless it is left out."""
-    scenario, kept = recorded_cycles(world, policy, departures)
-    rng = np.random.default_rng(seed)
+    config = InterceptConfig(world=world, predictor="noisy", planner=policy, speed=3.0)
+    scenario = interception.prepare(config)
+    planner = scenario.replanner.planner
+    began = time.perf_counter()
+    planner.warmup(scenario.start)
+    warmup = time.perf_counter() - began
+    interception.warm_up(scenario)
+    predictor, rng = interception.predictor_for(config, scenario.world, scenario.target), np.random.default_rng(seed)
+    kept = recorded_cycles(scenario, predictor, departures)
     kept = [kept[place] for place in rng.permutation(len(kept))[:cycles]]
     rows = []
     for count in counts:
-        buckets = tuple(sorted({APPROACH_LANES, 100, max(count, APPROACH_LANES)}))
-        planner = build_planner(
-            PlannerConfig(buckets=buckets), world=scenario.world, vehicle=scenario.vehicle, policy=chosen_policy(policy)
-        )
-        began = time.perf_counter()
-        planner.warmup(scenario.start)
-        warmup = time.perf_counter() - began
         stages = []
         for state, candidates in kept:
             some, timer = some_candidates(candidates, count, rng), Timer()
@@ -124,7 +116,7 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, help="save the rows, with hardware, versions and commit")
     parser.add_argument("--worlds", nargs="+", default=["env1", "env2", "env3"])
-    parser.add_argument("--policy", default="pretrained")
+    parser.add_argument("--policy", default="mfrl")
     parser.add_argument("--counts", nargs="+", type=int, default=list(COUNTS))
     parser.add_argument("--departures", nargs="+", type=float, default=[0.5, 1.5, 2.5])
     parser.add_argument("--cycles", type=int, default=100)

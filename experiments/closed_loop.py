@@ -126,7 +126,6 @@ def _sigma(predictor: str) -> float | None:
 def _scenario(world: str, planner: str) -> Scenario:
     """Only the newest is kept: compiled planners are large, and episodes come sorted by world and planner."""
     known = planner if planner in get_args(intercept.Planner) else "no-policy"
-    # The noisy predictor has the most candidates; its planner serves the others too.
     config = intercept.InterceptConfig(world=world, planner=known, predictor="noisy")
     base = interception.prepare(config)
     if planner == "optimiser":

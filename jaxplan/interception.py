@@ -15,11 +15,11 @@ from jaxplan.errors import InputError
 from jaxplan.feasibility.checkpoint import load_classifier
 from jaxplan.io.targets import Target, load_target
 from jaxplan.numerics import in_float64
-from jaxplan.planner import APPROACH_LANES, PlannerConfig, build_planner
+from jaxplan.planner import PlannerConfig, build_planner
 from jaxplan.policy.checkpoint import load_policy
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.observations import Observations
-from jaxplan.prediction.predictors import PredictionConfig, StepPredictor, build_predictor, candidate_count
+from jaxplan.prediction.predictors import PredictionConfig, StepPredictor, build_predictor
 from jaxplan.prediction.stream import ObservationStream, StreamConfig
 from jaxplan.prediction.target_model import load_model, shipped_model
 from jaxplan.replanner import CommittedPlan, Cycle, Replanner, ReplannerConfig
@@ -133,11 +133,7 @@ def prepare(config: InterceptConfig, *, exhaustive: bool = False) -> Scenario:
     target = load_target(config.target, world=world.name, speed=config.speed)
     distance = _distance_function(world)
     prediction = prediction_config(world)
-    count = candidate_count(config.predictor, prediction)
-    planner_config = PlannerConfig(
-        exhaustive=exhaustive,
-        buckets=tuple(sorted({APPROACH_LANES, *(n for n in (count // 4, count) if n > APPROACH_LANES)})),
-    )
+    planner_config = PlannerConfig(exhaustive=exhaustive)
     _check_target(target, world, distance)
     position = _start(config, world, target, planner_config.padding)
     _check_start(position, world, vehicle, distance)

@@ -69,10 +69,7 @@ def resolve_weights(source: str | Path, folder: Path, kind: str) -> tuple[Path, 
 
 def flatten(tree: Any) -> Arrays:
     """Leaves by their path, as float32."""
-    leaves = jax.tree_util.tree_leaves_with_path(tree)
-    return {
-        jax.tree_util.keystr(path, simple=True, separator="/"): np.asarray(leaf, np.float32) for path, leaf in leaves
-    }
+    return {name: np.asarray(leaf, np.float32) for name, leaf in _by_path(tree).items()}
 
 
 def unflatten(arrays: Arrays) -> dict[str, Any]:
@@ -88,11 +85,16 @@ def unflatten(arrays: Arrays) -> dict[str, Any]:
 
 
 def restore(template: Any, arrays: Arrays) -> Any:
-    """``template`` with its leaves replaced by the arrays of the same path; FileError where they do not fit."""
-    wanted = flatten(template)
+    """``template``, of arrays or shapes, with the arrays of the same path; FileError where they do not fit."""
+    wanted = _by_path(template)
     if {name: leaf.shape for name, leaf in wanted.items()} != {name: leaf.shape for name, leaf in arrays.items()}:
         raise FileError("the weights do not fit their network; the file is damaged")
     return jax.tree.unflatten(jax.tree.structure(template), [arrays[name] for name in wanted])
+
+
+def _by_path(tree: Any) -> dict[str, Any]:
+    leaves = jax.tree_util.tree_leaves_with_path(tree)
+    return {jax.tree_util.keystr(path, simple=True, separator="/"): leaf for path, leaf in leaves}
 
 
 def _digest(arrays: Arrays) -> str:

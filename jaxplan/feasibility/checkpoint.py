@@ -49,11 +49,11 @@ def load_model(source: str | Path) -> tuple[FeatureConfig, Model]:
         golden = np.asarray(header["golden"], float)
     except (KeyError, TypeError, ValueError) as error:
         raise FileError(f"{path}: its header is not a classifier's ({error}); use a file of jaxplan") from error
-    model = jax.tree.map(jnp.asarray, restore(new_model(config, inducing, 0), arrays))
+    model = restore(jax.eval_shape(lambda: new_model(config, inducing, 0)), arrays)
     found = _golden(make_classifier(config, model))
     if found.shape != golden.shape or not np.allclose(found, golden, rtol=0.0, atol=GOLDEN_TOLERANCE):
         raise FileError(f"{path}: the model does not give the probabilities that it gave when it was saved")
-    return config, model
+    return config, jax.tree.map(jnp.asarray, model)
 
 
 def classifier_card(source: str | Path) -> dict[str, Any]:
@@ -64,4 +64,4 @@ def classifier_card(source: str | Path) -> dict[str, Any]:
 def _golden(classifier: Classifier) -> Float[np.ndarray, "k"]:
     """Probabilities for eight fixed motions."""
     motion = np.random.default_rng(7).normal(size=(8, INSTANTS, MOTION_FEATURES)).astype(np.float32)
-    return np.asarray(classifier.judge(jnp.asarray(motion)).probability, float)
+    return np.asarray(jax.jit(classifier.judge)(motion).probability, float)

@@ -79,7 +79,7 @@ def new_model(config: FeatureConfig, inducing: int, seed: int) -> Model:
 
 def make_classifier(config: FeatureConfig, model: Model) -> Classifier:
     """Ready a model for queries."""
-    return Classifier(config, model.network, prepare(model.low), prepare(model.high))
+    return Classifier(config, model.network, *_prepared(model.low, model.high))
 
 
 def low_inputs(config: FeatureConfig, model: Model, motion: Float[Array, "n p f"]) -> Float[Array, "n z"]:
@@ -91,3 +91,8 @@ def high_inputs(config: FeatureConfig, model: Model, motion: Float[Array, "n p f
     """What the high fidelity's process sees, for training."""
     features = low_inputs(config, model, motion)
     return jnp.concatenate([features, marginals(model.low, features)[0][:, None]], axis=1)
+
+
+@jax.jit
+def _prepared(low: Process, high: Process) -> tuple[Posterior, Posterior]:
+    return prepare(low), prepare(high)

@@ -4,6 +4,6 @@ candidates -> search -> knots -> policy <-> arrival -> minimum snap -> checks ->
 """
 
 from jaxplan.planner.build import build_planner
-from jaxplan.planner.records import APPROACH_LANES, Planner, PlannerConfig, Plans, Timer, select
+from jaxplan.planner.records import Planner, PlannerConfig, Plans, Timer, select
 
-__all__ = ["APPROACH_LANES", "Planner", "PlannerConfig", "Plans", "Timer", "build_planner", "select"]
+__all__ = ["Planner", "PlannerConfig", "Plans", "Timer", "build_planner", "select"]

@@ -2,20 +2,21 @@
 
 Only what can win is matched, solved and checked: a candidate's score does not depend on alpha, so the reachable ones
 are taken in order of score, some at a time, until one passes. The winner is that of an exhaustive evaluation.
+Every station is compiled for one number of lanes and called as often as there are candidates for (decision 0014).
 """
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float, Int, UInt32
+from jaxtyping import Array, Float, Int, UInt32
 
 from jaxplan.feasibility.classifier import Classifier
 from jaxplan.minsnap.batch import SplineBatch
 from jaxplan.numerics import in_float64
-from jaxplan.planner.lanes import bucket_for, join_lanes, pad, round_sizes, scatter
+from jaxplan.planner.lanes import fill, in_portions, join, pick
 from jaxplan.planner.records import (
     APPROACH_GOALS,
     APPROACH_SHARES,
@@ -25,7 +26,7 @@ from jaxplan.planner.records import (
     Plans,
     Timer,
 )
-from jaxplan.planner.stations import Routes, Stations, compile_stations, shortened
+from jaxplan.planner.stations import Routes, Stations, compile_stations, no_trajectories, shortened
 from jaxplan.planner.warmup import compile_all
 from jaxplan.policy.protocol import Policy
 from jaxplan.prediction.candidates import Candidates, candidates_from
@@ -52,6 +53,23 @@ class Parts(NamedTuple):
         start = np.asarray(state.pos)
         distance = float(np.linalg.norm(target - start))
         return find_routes(self.lattices, self.world, start, goals, distance, capacity=self.config.path_capacity)
+
+    def route(self, paths: Paths, member: Int[np.ndarray, "k"], shares: Float[np.ndarray, "k"]) -> Routes:
+        """Waypoints along the first ``shares`` of the paths ``member``, in arrays no longer than needed."""
+        return shortened(self._each(len(member), lambda k: self.stations.route(paths.points[member[k]], shares[k])))
+
+    def allocate(self, state: FlatState, routes: Routes) -> Float[np.ndarray, "m k"]:
+        """The policy's least durations [s]."""
+        return self._each(len(routes.count), lambda k: self.stations.allocate(state, pick(routes, k)))
+
+    def trace(
+        self, state: FlatState, routes: Routes, durations: Float[np.ndarray, "m k"]
+    ) -> tuple[SplineBatch, Margins]:
+        """Solved and checked trajectories."""
+        return self._each(len(routes.count), lambda k: self.stations.trace(state, pick(routes, k), durations[:, k]))
+
+    def _each(self, count: int, program: Callable[[Int[np.ndarray, "n"]], Any]) -> Any:
+        return in_portions(program, np.arange(count), self.config.lanes)
 
 
 class Evaluated(NamedTuple):
@@ -91,32 +109,32 @@ def build_planner(
 
 def _plan_batch(parts: Parts, state: FlatState, candidates: Candidates, timer: Timer | None = None) -> Plans:
     config, stations, timer = parts.config, parts.stations, timer or Timer()
-    reasons, goals, times = _rejected(stations, state, candidates, config.buckets)
+    reasons, goals, times = _rejected(stations, state, candidates, config.lanes)
     score = config.likelihood_weight * np.asarray(candidates.likelihood) - times
     chosen = np.flatnonzero(reasons == 0)
     timer.lap("reject")
-    paths = parts.search(state, goals[chosen], candidates.target)
-    timer.lap("search")
-    bucket = bucket_for(len(chosen), config.buckets)
-    routes = stations.route(pad(paths.points, bucket, fill=state.pos), np.ones(bucket))
-    routes = shortened(routes, int(np.asarray(routes.count).max()))
-    reasons[chosen] |= paths.reasons | np.asarray(routes.reasons)[: len(chosen)]
-    timer.lap("knots")
-    context, least = stations.read(routes, state)
-    shares = times[chosen] / np.asarray(least)[: len(chosen)]
-    reasons[chosen] |= np.where(shares >= 1.0 - config.arrival.tolerance, 0, Reason.ALPHA_LT_1).astype(np.uint32)
-    timer.lap("policy")
-    order = np.arange(len(chosen)) if config.exhaustive else _by_score(score[chosen], reasons[chosen])
-    rounds = list(_evaluate(parts, state, routes, context, times[chosen], order, timer))
-    alpha, lanes = scatter(shares, chosen, len(goals), np.nan), np.full(len(goals), -1)
-    for part in rounds:
-        members = chosen[part.lanes]
-        lanes[members] = np.arange(len(members)) + lanes.max() + 1
-        alpha[members] = part.alpha
-        reasons[members] |= part.reasons
-    waiting = chosen[order]
-    reasons[waiting[lanes[waiting] < 0]] |= np.uint32(Reason.OUTRANKED)
-    splines, margins = join_lanes([(part.traced, len(part.lanes)) for part in rounds])
+    rounds: list[Evaluated] = []
+    alpha, lanes = np.full(len(goals), np.nan), np.full(len(goals), -1)
+    if len(chosen):
+        paths = parts.search(state, goals[chosen], candidates.target)
+        timer.lap("search")
+        routes = parts.route(paths, np.arange(len(chosen)), np.ones(len(chosen)))
+        reasons[chosen] |= paths.reasons | routes.reasons
+        timer.lap("knots")
+        shares = times[chosen] / parts.allocate(state, routes).sum(axis=0)
+        reasons[chosen] |= np.where(shares >= 1.0 - config.arrival.tolerance, 0, Reason.ALPHA_LT_1).astype(np.uint32)
+        alpha[chosen] = shares
+        timer.lap("policy")
+        order = np.arange(len(chosen)) if config.exhaustive else _by_score(score[chosen], reasons[chosen])
+        rounds = list(_evaluate(parts, state, routes, times[chosen], order, timer))
+        for part in rounds:
+            members = chosen[part.lanes]
+            lanes[members] = np.arange(len(members)) + lanes.max() + 1
+            alpha[members] = part.alpha
+            reasons[members] |= part.reasons
+        waiting = chosen[order]
+        reasons[waiting[lanes[waiting] < 0]] |= np.uint32(Reason.OUTRANKED)
+    splines, margins = join([(part.traced, len(part.lanes)) for part in rounds]) if rounds else no_trajectories()
     timer.lap("select")
     return Plans(
         goals=goals,
@@ -132,25 +150,26 @@ def _plan_batch(parts: Parts, state: FlatState, candidates: Candidates, timer: T
 
 def _approach(parts: Parts, state: FlatState, candidates: Candidates, timer: Timer | None = None) -> Plans:
     config, stations, timer = parts.config, parts.stations, timer or Timer()
-    reasons, goals, times = _rejected(stations, state, candidates, config.buckets)
+    reasons, goals, times = _rejected(stations, state, candidates, config.lanes)
     chosen = _latest_goals(reasons, goals, times)
-    paths = parts.search(state, goals[chosen], candidates.target)
-    lanes, shares, stretches = (axis.ravel() for axis in np.meshgrid(*_approach_axes(len(chosen)), indexing="ij"))
-    bucket = bucket_for(len(lanes), config.buckets)
-    routes = stations.route(pad(paths.points[lanes], bucket, state.pos), pad(shares, bucket, 1.0))
-    routes = shortened(routes, int(np.asarray(routes.count).max()))
-    durations = stations.stretch(routes, state, pad(stretches, bucket, 1.0))
-    splines, margins = stations.trace(state, routes, durations)
-    whole_time = np.asarray(durations).sum(axis=0)[: len(lanes)] / shares
-    failed = np.asarray(margins.reasons)[: len(lanes)] | (paths.reasons & ~np.uint32(Reason.PREFIX_ONLY))[lanes]
+    member, shares, stretches = (axis.ravel() for axis in np.meshgrid(*_approach_axes(len(chosen)), indexing="ij"))
+    failed, whole_time = np.zeros(len(member), np.uint32), np.zeros(len(member))
+    splines, margins = no_trajectories()
+    if len(chosen):
+        paths = parts.search(state, goals[chosen], candidates.target)
+        routes = parts.route(paths, member, shares)
+        durations = parts.allocate(state, routes) * stretches
+        splines, margins = parts.trace(state, routes, durations)
+        whole_time = durations.sum(axis=0) / shares
+        failed = margins.reasons | (paths.reasons & ~np.uint32(Reason.PREFIX_ONLY))[member]
     timer.lap("approach")
     return Plans(
-        goals=goals[chosen][lanes],
-        arrival_times=times[chosen][lanes],
+        goals=goals[chosen][member],
+        arrival_times=times[chosen][member],
         reasons=failed,
-        score=times[chosen][lanes] - whole_time,
+        score=times[chosen][member] - whole_time,
         alpha=stretches,
-        lanes=np.arange(len(lanes)),
+        lanes=np.arange(len(member)),
         splines=splines,
         margins=margins,
     )
@@ -159,50 +178,33 @@ def _approach(parts: Parts, state: FlatState, candidates: Candidates, timer: Tim
 def _warmup(parts: Parts, state: FlatState) -> None:
     warm_up_search(parts.lattices, parts.world, parts.config.path_capacity)
     compile_all(parts.stations, parts.config, state)
-    for count in parts.config.buckets:
-        candidates = _around(state, count)
-        _plan_batch(parts, state, candidates)
-        _approach(parts, state, candidates)
+    candidates = _around(state, parts.config.lanes)
+    _plan_batch(parts, state, candidates)
+    _approach(parts, state, candidates)
 
 
 def _evaluate(
     parts: Parts,
     state: FlatState,
     routes: Routes,
-    context: Any,
     times: Float[np.ndarray, "k"],
     order: Int[np.ndarray, "n"],
     timer: Timer,
 ) -> Iterator[Evaluated]:
-    """Match, solve and check the lanes of the routes in ``order``, in growing rounds, until a round has a usable one.
-
-    At least one round is run, so that there are arrays to return.
-    """
-    stations, config, begin = parts.stations, parts.config, 0
-    for size in _rounds(len(order), config):
-        lanes = order[begin : begin + size]
-        padded = pad(lanes, size, fill=0)
-        some = stations.pick(routes, padded)
-        arrival = stations.match(stations.pick(context, padded), state, pad(times[lanes], size, fill=1.0))
+    """Match, solve and check the lanes of the routes in ``order``, in rounds, until a round has a usable one."""
+    stations, config = parts.stations, parts.config
+    for begin in range(0, len(order), config.lanes):
+        lanes = order[begin : begin + config.lanes]
+        padded = fill(lanes, config.lanes)
+        some = pick(routes, padded)
+        arrival = stations.match(state, some, times[padded])
         timer.lap("policy", arrival)
         traced = stations.trace(state, some, arrival.durations)
         reasons = (np.asarray(arrival.reasons) | np.asarray(traced[1].reasons))[: len(lanes)]
         timer.lap("minsnap")
         yield Evaluated(lanes, np.asarray(arrival.alpha)[: len(lanes)], reasons, traced)
-        begin += size
         if not config.exhaustive and (reasons == 0).any():
             return
-
-
-def _rounds(count: int, config: PlannerConfig) -> Iterator[int]:
-    """Sizes of the rounds: a small one, then larger ones; all at once if exhaustive. At least one."""
-    if config.exhaustive:
-        yield bucket_for(count, config.buckets)
-        return
-    small, large = round_sizes(config.buckets)
-    yield small
-    for _ in range(small, count, large):
-        yield large
 
 
 def _by_score(score: Float[np.ndarray, "k"], reasons: UInt32[np.ndarray, "k"]) -> Int[np.ndarray, "n"]:
@@ -212,20 +214,24 @@ def _by_score(score: Float[np.ndarray, "k"], reasons: UInt32[np.ndarray, "k"]) -
 
 
 def _rejected(
-    stations: Stations, state: FlatState, candidates: Candidates, buckets: tuple[int, ...]
+    stations: Stations, state: FlatState, candidates: Candidates, width: int
 ) -> tuple[UInt32[np.ndarray, "k"], Float[np.ndarray, "k 3"], Float[np.ndarray, "k"]]:
     """Early reasons, goals and arrival times of the candidates, on the host."""
     goals, times = np.asarray(candidates.goals), np.asarray(candidates.arrival_times)
-    bucket = bucket_for(len(goals), buckets)
-    padded = Candidates(
-        goals=pad(goals, bucket, fill=np.nan),
-        arrival_times=pad(times, bucket, fill=np.nan),
-        likelihood=pad(np.asarray(candidates.likelihood), bucket, fill=0.0),
-        reasons=pad(np.asarray(candidates.reasons), bucket, fill=0),
-        target=np.asarray(candidates.target),
-    )
-    marked = stations.reject(padded, np.asarray(state.pos))
-    return np.array(marked.reasons)[: len(goals)], goals, times
+    likelihood, reasons = np.asarray(candidates.likelihood), np.asarray(candidates.reasons)
+    start, target = np.asarray(state.pos), np.asarray(candidates.target)
+
+    def mark(lanes: Int[np.ndarray, "n"]) -> UInt32[Array, "n"]:
+        some = Candidates(
+            goals=goals[lanes],
+            arrival_times=times[lanes],
+            likelihood=likelihood[lanes],
+            reasons=reasons[lanes],
+            target=target,
+        )
+        return stations.reject(some, start).reasons
+
+    return in_portions(mark, np.arange(len(goals)), width) if len(goals) else reasons.copy(), goals, times
 
 
 def _latest_goals(

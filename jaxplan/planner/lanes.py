@@ -1,42 +1,38 @@
-"""Arrays of changing length in programs of fixed shape (host)."""
+"""Batches of any length in programs of one fixed width (host).
 
-from collections.abc import Sequence
+A CPU takes as long for 400 lanes at once as for seven times 64, and one width is compiled once.
+"""
+
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import numpy as np
 from jaxtyping import Int
 
-from jaxplan.errors import InputError
+Lanes = Int[np.ndarray, "n"]
 
 
-def bucket_for(count: int, buckets: tuple[int, ...]) -> int:
-    """The smallest compiled size that holds ``count`` candidates."""
-    for bucket in buckets:
-        if count <= bucket:
-            return bucket
-    raise InputError(f"planner: {count} candidates, want at most {buckets[-1]}; raise PlannerConfig.buckets")
+def in_portions(program: Callable[[Lanes], Any], lanes: Lanes, width: int) -> Any:
+    """What ``program`` gives for at least one lane, called with ``width`` of them at a time, as NumPy arrays.
+
+    The last call is filled up by repeating a lane; leaves have the batch last.
+    """
+    cuts = [lanes[begin : begin + width] for begin in range(0, len(lanes), width)]
+    return join([(program(fill(some, width)), len(some)) for some in cuts])
 
 
-def round_sizes(buckets: tuple[int, ...]) -> tuple[int, int]:
-    """Candidates of the first round of an ordered evaluation, and of the others."""
-    return buckets[0], buckets[min(1, len(buckets) - 1)]
+def fill(lanes: Lanes, width: int) -> Lanes:
+    """Lanes repeated at the end until there are ``width``."""
+    return np.concatenate([lanes, np.full(width - len(lanes), lanes[0])])
 
 
-def pad(values: np.ndarray, length: int, fill: Any) -> np.ndarray:
-    """``values`` followed by rows of ``fill`` up to ``length``."""
-    padding = np.broadcast_to(np.asarray(fill, dtype=values.dtype), (length - len(values), *values.shape[1:]))
-    return np.concatenate([values, padding])
+def pick(tree: Any, lanes: Lanes) -> Any:
+    """Some lanes of a tree of arrays whose last axis is the batch."""
+    return jax.tree.map(lambda leaf: np.take(np.asarray(leaf), lanes, axis=-1), tree)
 
 
-def scatter(values: np.ndarray, places: Int[np.ndarray, "n"], length: int, fill: float) -> np.ndarray:
-    """The first values put at the ``places`` of an array of ``fill``."""
-    full = np.full(length, fill, dtype=np.result_type(values, type(fill)))
-    full[places] = values[: len(places)]
-    return full
-
-
-def join_lanes(parts: Sequence[tuple[Any, int]]) -> Any:
+def join(parts: Sequence[tuple[Any, int]]) -> Any:
     """Trees of arrays, of each the first lanes along the last axis, side by side in NumPy."""
     trees = [jax.tree.map(lambda leaf, count=count: np.asarray(leaf)[..., :count], tree) for tree, count in parts]
     return jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1), *trees)

@@ -23,7 +23,6 @@ APPROACH_SHARES = (1.0, 0.6, 0.3)
 APPROACH_STRETCHES = (1.0, 1.4, 2.0)
 """An approach tries this many goals, each along these shares of its path, at these multiples of its least time
 (arbitrary)."""
-APPROACH_LANES = APPROACH_GOALS * len(APPROACH_SHARES) * len(APPROACH_STRETCHES)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,8 +39,8 @@ class PlannerConfig:
     """Seconds that a likelihood of 1 is worth in the selection (paper eq. 9 leaves the unit open)."""
     path_capacity: int = 32
     """Corners of the longest taut path; longer ones are planned as prefixes."""
-    buckets: tuple[int, ...] = (36, 100, 400)
-    """Candidate counts that are compiled; a batch is padded to the next one, larger batches are refused."""
+    lanes: int = 64
+    """Candidates that the compiled stations take at a time; on a GPU, as many as there are (decision 0014)."""
     exhaustive: bool = False
     """Match and check every candidate (the paper) instead of the best ones until one passes: the same winner."""
     knots: KnotConfig = KnotConfig()
@@ -54,10 +53,8 @@ class PlannerConfig:
                 raise InputError(f"planner: {name} is {getattr(self, name)}, want a positive number")
         if not 0.0 <= self.padding < float("inf"):
             raise InputError(f"planner: padding is {self.padding} m, want 0 or more")
-        if list(self.buckets) != sorted(set(self.buckets)) or min(self.buckets, default=0) < APPROACH_LANES:
-            raise InputError(
-                f"planner: buckets are {self.buckets}, want increasing counts of at least {APPROACH_LANES}"
-            )
+        if not 1 <= self.lanes <= 65536:
+            raise InputError(f"planner: lanes is {self.lanes}, want 1 to 65536")
 
 
 @record
@@ -96,7 +93,7 @@ class Planner(NamedTuple):
     approach: Callable[..., Plans]
     """(state, candidates, timer): trajectories towards the latest candidates, only late, for when none can be met."""
     warmup: Callable[[FlatState], None]
-    """Compile every station for every bucket."""
+    """Compile every station."""
     config: PlannerConfig
 
 

@@ -1,14 +1,15 @@
-"""The compiled stations of a replan, each on its own so that it can be timed.
+"""The compiled stations of a replan, each on its own so that it can be timed, all for the same number of lanes.
 
 The world is an argument of what is compiled, not a constant: a distance grid would bloat the program.
 """
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, UInt32
 
 from jaxplan.arrival import Arrival, match_arrival
@@ -42,12 +43,10 @@ class Stations(NamedTuple):
 
     reject: Callable[..., Candidates]
     route: Callable[..., Routes]
-    read: Callable[..., tuple[Any, Float[Array, "k"]]]
-    """(routes, state): what the policy remembers of each sequence, and its least time [s]."""
-    pick: Callable[..., Any]
-    """(tree, lanes): some lanes of anything whose leaves have the batch last."""
+    allocate: Callable[..., Float[Array, "m k"]]
+    """(state, routes): the policy's least durations [s]."""
     match: Callable[..., Arrival]
-    stretch: Callable[..., Float[Array, "m k"]]
+    """(state, routes, arrival times)."""
     trace: Callable[..., tuple[SplineBatch, Margins]]
 
 
@@ -71,22 +70,14 @@ def compile_stations(
         )
 
     @jax.jit
-    def read(routes: Routes, state: FlatState) -> tuple[Any, Float[Array, "k"]]:
+    def allocate(state: FlatState, routes: Routes) -> Float[Array, "m k"]:
         context = policy.encode(routes.waypoints, routes.count)
-        return context, jnp.sum(policy.decode(context, _for_all(state, routes)), axis=0)
+        return policy.decode(context, _for_all(state, routes))
 
     @jax.jit
-    def pick(tree: Any, lanes: Int[Array, "n"]) -> Any:
-        return jax.tree.map(lambda leaf: jnp.take(leaf, lanes, axis=-1), tree)
-
-    @jax.jit
-    def match(context: Any, state: FlatState, arrival_times: Float[Array, "k"]) -> Arrival:
+    def match(state: FlatState, routes: Routes, arrival_times: Float[Array, "k"]) -> Arrival:
+        context = policy.encode(routes.waypoints, routes.count)
         return match_arrival(lambda d: policy.decode(context, d), state, arrival_times, config.arrival)
-
-    @jax.jit
-    def stretch(routes: Routes, state: FlatState, factor: Float[Array, "k"]) -> Float[Array, "m k"]:
-        context = policy.encode(routes.waypoints, routes.count)
-        return factor * policy.decode(context, _for_all(state, routes))
 
     @jax.jit
     def trace(
@@ -96,15 +87,27 @@ def compile_stations(
         probability = None if classifier is None else classifier.predict(splines).probability
         return splines, check(splines, routes.samples, world, vehicle, config.checks, probability)
 
-    return Stations(
-        functools.partial(reject, world), route, read, pick, match, stretch, functools.partial(trace, world)
+    return Stations(functools.partial(reject, world), route, allocate, match, functools.partial(trace, world))
+
+
+def shortened(routes: Routes) -> Routes:
+    """The same sequences in arrays of the smallest compiled length that holds them."""
+    return cut(routes, next(length for length in LENGTHS if np.max(routes.count) <= length))
+
+
+def cut(routes: Routes, length: int) -> Routes:
+    """The same sequences in arrays of ``length`` waypoints."""
+    return routes._replace(waypoints=np.asarray(routes.waypoints)[:length])
+
+
+def no_trajectories() -> tuple[SplineBatch, Margins]:
+    """What ``trace`` gives for no candidate at all."""
+    segments, none = MAX_WAYPOINTS - 1, np.zeros(0)
+    splines = SplineBatch(
+        durations=np.zeros((segments, 0)), position=np.zeros((segments, 10, 3, 0)), yaw=np.zeros((segments, 6, 1, 0))
     )
-
-
-def shortened(routes: Routes, longest: int) -> Routes:
-    """The same sequences in arrays of the smallest compiled length that holds ``longest`` waypoints."""
-    length = next(length for length in LENGTHS if longest <= length)
-    return routes._replace(waypoints=routes.waypoints[:length])
+    reasons = np.zeros(0, np.uint32)
+    return splines, Margins(deviation=none, clearance=none, rotor_speed=none, probability=none, reasons=reasons)
 
 
 def _for_all(state: FlatState, routes: Routes) -> FlatState:

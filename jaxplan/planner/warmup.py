@@ -1,24 +1,19 @@
-"""Compiling every station at every size before the first replan."""
+"""Compiling every station for every length before the first replan."""
 
 import jax
 import numpy as np
 
-from jaxplan.planner.lanes import round_sizes
 from jaxplan.planner.records import PlannerConfig
-from jaxplan.planner.stations import LENGTHS, Stations, shortened
+from jaxplan.planner.stations import LENGTHS, Stations, cut
 from jaxplan.spline import FlatState
 
 
 def compile_all(stations: Stations, config: PlannerConfig, state: FlatState) -> None:
-    """Call every station at every size, each with what the one before it returns."""
-    for bucket in config.buckets:
-        paths = np.tile(np.asarray(state.pos), (bucket, config.path_capacity, 1))
-        for length in LENGTHS:
-            some = shortened(stations.route(paths, np.ones(bucket)), length)
-            context, _ = stations.read(some, state)
-            if bucket == config.buckets[0]:
-                jax.block_until_ready(stations.trace(state, some, stations.stretch(some, state, np.ones(bucket))))
-            for size in {bucket} if config.exhaustive else set(round_sizes(config.buckets)):
-                lanes = np.zeros(size, dtype=int)
-                arrival = stations.match(stations.pick(context, lanes), state, np.ones(size))
-                jax.block_until_ready(stations.trace(state, stations.pick(some, lanes), arrival.durations))
+    """Call every station, each with what the one before it returns."""
+    paths = np.tile(np.asarray(state.pos), (config.lanes, config.path_capacity, 1))
+    whole = stations.route(paths, np.ones(config.lanes))
+    for length in LENGTHS:
+        routes = jax.tree.map(np.asarray, cut(whole, length))
+        least = np.asarray(stations.allocate(state, routes))
+        arrival = stations.match(state, routes, least.sum(axis=0))
+        jax.block_until_ready(stations.trace(state, routes, arrival.durations))

@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from jaxplan.errors import FileError
 from jaxplan.policy.network import NetworkConfig
@@ -81,7 +81,11 @@ def _golden(config: NetworkConfig, parameters: Any) -> Float[np.ndarray, "m 3"]:
     for lane, last in enumerate(count - 1):
         waypoints[last:, :, lane] = waypoints[last, :, lane]
     derivatives, yaw = rng.normal(size=(5, 3, 3)) * np.array([0.0, 2.0, 5.0]), rng.normal(size=(3, 3))
-    initial = FlatState(derivatives=jnp.asarray(derivatives), yaw=jnp.asarray(yaw))
-    policy = neural_policy("golden", config, jax.tree.map(jnp.asarray, parameters))
-    durations = policy.decode(policy.encode(jnp.asarray(waypoints), jnp.asarray(count)), initial)
-    return np.asarray(durations, dtype=float)
+    initial = FlatState(derivatives=derivatives, yaw=yaw)
+
+    @jax.jit
+    def allocate(parameters: Any) -> Float[Array, "m 3"]:
+        policy = neural_policy("golden", config, parameters)
+        return policy.decode(policy.encode(jnp.asarray(waypoints), jnp.asarray(count)), initial)
+
+    return np.asarray(allocate(parameters), dtype=float)

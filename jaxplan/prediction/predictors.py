@@ -71,11 +71,6 @@ class PredictionConfig:
         return self.dt * np.arange(1, self.steps + 1)
 
 
-def candidate_count(name: str, config: PredictionConfig) -> int:
-    """How many candidates the predictor called ``name`` proposes in a cycle."""
-    return config.steps * (config.batch if name in SAMPLING else 1)
-
-
 class Predictor(Protocol):
     """Proposes goal candidates for the target seen so far."""
 

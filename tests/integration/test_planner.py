@@ -1,5 +1,7 @@
 """Planner and replanner as a whole, in environment 1: invariants that no station can promise alone."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
@@ -20,7 +22,7 @@ from jaxplan.world.obstacles import make_obstacles
 from jaxplan.world.scene import load_world
 
 START = np.array([-4.3, -4.3, 1.0])
-CONFIG = PlannerConfig(buckets=(36,), knots=KnotConfig(distance_per_knot=1.0))
+CONFIG = PlannerConfig(lanes=16, knots=KnotConfig(distance_per_knot=1.0))
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +102,7 @@ def test_taking_the_best_first_finds_the_winner_of_an_exhaustive_evaluation(worl
 
 
 def replace_config(exhaustive):
-    return PlannerConfig(buckets=(36, 100), knots=KnotConfig(distance_per_knot=1.0), exhaustive=exhaustive)
+    return PlannerConfig(lanes=32, knots=KnotConfig(distance_per_knot=1.0), exhaustive=exhaustive)
 
 
 def test_order_of_candidates_does_not_matter(planner, moving):
@@ -151,9 +153,30 @@ def test_removing_the_obstacles_never_turns_an_accept_into_a_clearance_reject(pl
     assert (plans.reasons == 0).sum() >= (crowded.reasons == 0).sum()
 
 
-def test_too_many_candidates_are_refused(planner, moving):
-    with pytest.raises(InputError, match="37 candidates"):
-        planner.plan_batch(moving, candidates(37))
+def test_how_many_lanes_a_program_takes_changes_nothing(planner, world, moving):
+    """One call for all candidates, or many with a part of them each."""
+    wide = build_planner(
+        dataclasses.replace(CONFIG, lanes=90), world=world, vehicle=load_vehicle(), policy=constant_speed_policy()
+    )
+    some, all_at_once = planner.plan_batch(moving, candidates(83)), wide.plan_batch(moving, candidates(83))
+    assert select(some) == select(all_at_once) >= 0
+    both = (some.lanes >= 0) & (all_at_once.lanes >= 0)
+    assert both.sum() > 3
+    np.testing.assert_array_equal(some.reasons[both], all_at_once.reasons[both])
+    np.testing.assert_allclose(some.alpha[both], all_at_once.alpha[both], rtol=1e-9)
+
+
+def test_no_candidates_at_all(planner, moving):
+    none = candidates_from(START, np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+    for plans in (planner.plan_batch(moving, none), planner.approach(moving, none)):
+        assert select(plans) == -1
+        assert len(plans.reasons) == 0
+
+
+@pytest.mark.parametrize("lanes", [0, -3, 10**6])
+def test_a_width_that_no_program_can_have_is_refused(lanes):
+    with pytest.raises(InputError, match="lanes"):
+        PlannerConfig(lanes=lanes)
 
 
 class Script:
