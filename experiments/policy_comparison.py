@@ -4,12 +4,14 @@
 
 Sequences and their minimum-snap labels are made anew, from seeds that no training set has. Each policy's flights are
 flown with noise, as the labels are; a flight fails beyond 0.20 m or 15 degrees. T_MS is the total time at which the
-label's rotors just keep their limits. The learning curve trains classifiers on growing numbers of rollouts of the
-shipped policy's flights near the boundary, with and without the low fidelity's labels of all of them.
+label's rotors just keep their limits. The learning curve trains classifiers on growing numbers of rollouts of the last
+policy's flights near the boundary, with and without the low fidelity's labels of all of them, and scores them on
+flights of other rooms; it is the mean over several draws of the rollouts.
 """
 
 import dataclasses
 import functools
+import itertools
 
 import numpy as np
 
@@ -54,6 +56,12 @@ class Config:
     steps: int = 1500
     """Gradient steps of each classifier of the curve."""
 
+    repeats: int = 3
+    """Draws of the rollouts that the curve is the mean of."""
+
+    tries: int = 4
+    """Flights of each of the curve's sequences."""
+
     seed: int = 0
     """Seed of rooms, sequences and noise."""
 
@@ -61,19 +69,23 @@ class Config:
         if self.shards < 1 or not 1 <= self.sequences <= 2560 or self.seed < 0 or not self.policies:
             have = f"--shards {self.shards} --sequences {self.sequences} --seed {self.seed}"
             raise InputError(f"{have}: want at least 1 shard, 1 to 2560 sequences, a seed from 0 and a policy")
-        if self.steps < 1 or min(self.labels, default=1) < 1:
-            raise InputError(f"--labels {self.labels} --steps {self.steps}: want 1 or more of each")
+        if min(self.steps, self.repeats, self.tries, *self.labels, 1) < 1:
+            have = f"--labels {self.labels} --steps {self.steps} --repeats {self.repeats} --tries {self.tries}"
+            raise InputError(f"{have}: want 1 or more of each")
 
 
 def items(config: Config) -> list[Item]:
     flown = [Item(f"shard {index}", "flights", {"shard": index}) for index in range(config.shards)]
-    pairs = [(name, count) for count in config.labels for name in FIDELITIES]
-    return flown + [Item(f"{count} labels, {name}", "curve", {"labels": count, "kind": name}) for name, count in pairs]
+    cells = itertools.product(config.labels, FIDELITIES, range(config.repeats))
+    return flown + [
+        Item(f"{count} labels, {name}, draw {draw}", "curve", {"labels": count, "kind": name, "draw": draw})
+        for count, name, draw in cells
+    ]
 
 
 def evaluate(config: Config, item: Item) -> Row:
     if item.group == "curve":
-        return _curve(config, item.values["labels"], FIDELITIES[item.values["kind"]])
+        return _curve(config, item.values["labels"], FIDELITIES[item.values["kind"]], item.values["draw"])
     queries, limits = _sequences(config, item.values["shard"])
     found = {"label": _flown(queries, limits)}
     for name in config.policies:
@@ -109,28 +121,31 @@ def _flown(queries, durations):
 
 
 @functools.cache
-def _near_the_boundary(config):
+def _near_the_boundary(config, shard):
     """Motions of the last policy's flights, too fast to comfortable, with labels of both fidelities."""
     vehicle, made, _, _ = _tools()
-    queries, _ = _sequences(config, config.shards)
-    rng = np.random.default_rng(config.seed)
+    queries, _ = _sequences(config, shard)
+    rng = np.random.default_rng([config.seed, shard])
     durations = policy_durations(load_policy(config.policies[-1]), queries)
-    tried = active.perturbed(durations, (0.8, 1.15), 0.05, rng)
-    flights = active.build_solve(vehicle, made.labels)(queries, tried)
-    return flights, active.roll_out(flights, np.arange(len(queries.count)), vehicle, seed=1)
+    solve, tries = active.build_solve(vehicle, made.labels), []
+    for draw in range(config.tries):
+        flights = solve(queries, active.perturbed(durations, (0.8, 1.15), 0.05, rng))
+        feasible = active.roll_out(flights, np.arange(len(queries.count)), vehicle, seed=100 * shard + draw)
+        tries.append((flights.motion, flights.within_limits, feasible))
+    return tuple(np.concatenate(columns) for columns in zip(*tries, strict=True))
 
 
-def _curve(config, count, weight):
-    """Area under the curve on the last third, of a classifier that saw ``count`` rollouts of the others."""
-    flights, feasible = _near_the_boundary(config)
-    training = len(feasible) * 2 // 3
-    if count > training:
-        raise InputError(f"--labels {count}: have {training} flights to learn from; ask for fewer")
-    settings = ClassifierConfig(steps=config.steps, low_weight=weight, seed=config.seed)
-    low = Labelled(flights.motion[:training], flights.within_limits[:training])
-    model, _ = train_classifier(settings, low, Labelled(flights.motion[:count], feasible[:count]))
-    chance = active.judged(make_classifier(settings.features, model), flights.motion[training:])
-    return {"labels": count, "weight": weight, "auc": area_under_curve(chance, feasible[training:])}
+def _curve(config, count, weight, draw):
+    """Area under the curve on rooms held out, of a classifier that saw ``count`` rollouts of the others."""
+    motion, within_limits, feasible = _near_the_boundary(config, config.shards)
+    unseen, _, truth = _near_the_boundary(config, config.shards + 1)
+    if count > len(feasible):
+        raise InputError(f"--labels {count}: have {len(feasible)} flights to learn from; ask for fewer, or --tries")
+    some = np.random.default_rng([config.seed, draw]).permutation(len(feasible))[:count]
+    settings = ClassifierConfig(steps=config.steps, low_weight=weight, seed=draw)
+    model, _ = train_classifier(settings, Labelled(motion, within_limits), Labelled(motion[some], feasible[some]))
+    chance = active.judged(make_classifier(settings.features, model), unseen)
+    return {"labels": count, "weight": weight, "auc": area_under_curve(chance, truth)}
 
 
 def report(results: Results) -> Report:
@@ -141,10 +156,11 @@ def report(results: Results) -> Report:
     merged = {name: _merged(flown, name) for name in names}
     waypoints = np.concatenate([np.asarray(row["waypoints"]) for row in flown])
     table = [_summary(name, merged[name], merged["label"]) for name in names]
-    curve: dict[str, dict[int, float]] = {name: {} for name in FIDELITIES}
+    drawn: dict[str, dict[int, list[float]]] = {name: {} for name in FIDELITIES}
     for item, row in rows:
         if item.group == "curve":
-            curve[item.values["kind"]][item.values["labels"]] = row["auc"]
+            drawn[item.values["kind"]].setdefault(item.values["labels"], []).append(row["auc"])
+    curve = {name: {count: float(np.mean(of)) for count, of in found.items()} for name, found in drawn.items()}
     header = [column.replace("_", " ") for column in table[0]]
     lines = [
         [v if isinstance(v, str) else f"{v:.3f}" if isinstance(v, float) else str(v) for v in r.values()] for r in table
@@ -200,9 +216,9 @@ def _by_length(waypoints, failed):
 EXPERIMENT = Experiment(
     summary="Fig. 2b: learned policies beside minimum snap: times, tracking errors, failures, the value of labels",
     presets={
-        "smoke": Config(shards=1, sequences=256, labels=(100,), steps=50),
+        "smoke": Config(shards=1, sequences=256, labels=(100,), steps=50, repeats=1, tries=1),
         "small": Config(),
-        "full": Config(shards=8, labels=(125, 250, 500, 1000), steps=3000),
+        "full": Config(shards=8, steps=3000),
     },
     items=items,
     evaluate=evaluate,

@@ -16,6 +16,7 @@ from jaxplan.feasibility.checkpoint import load_classifier
 from jaxplan.io.targets import Target, load_target
 from jaxplan.numerics import in_float64
 from jaxplan.planner import PlannerConfig, build_planner
+from jaxplan.planner.lanes import in_portions
 from jaxplan.policy.checkpoint import load_policy
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.observations import Observations
@@ -37,6 +38,9 @@ INTERCEPTION_RADIUS = 0.4
 POSITION_ERROR_LIMIT = 0.4
 YAW_ERROR_LIMIT = np.deg2rad(45.0)
 """Tracking errors [m, rad] from which the defender counts as lost (paper, Sec. IV)."""
+
+POINTS_AT_ONCE = 1024
+"""Points whose distance to the world is computed in one call (arbitrary)."""
 
 LARGE_ROOM = 20.0
 """Room diagonal [m] from which predictions are 0.2 s apart instead of 0.1 s (paper, Sec. IV)."""
@@ -60,7 +64,7 @@ class Scenario:
     stream: StreamConfig
     """How what is seen of the target becomes observations."""
     clearance: Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n"]]
-    """Metres from the nearest obstacle or face of the room; compiled once for each n."""
+    """Metres from the nearest obstacle or face of the room, of at least one point."""
 
     def control_times(self, now: float) -> Float[np.ndarray, "n+1"]:
         """Instants of the control steps from one replan to the next [s], both ends included."""
@@ -247,7 +251,7 @@ def _judge(flight: Flight, scenario: Scenario) -> tuple[Flight, str | None]:
 
 
 def _distance_function(world: World) -> Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n"]]:
-    """Distance to the nearest obstacle or face of the room, compiled, from NumPy to NumPy."""
+    """Distance to the nearest obstacle or face of the room, compiled once, from NumPy to NumPy."""
 
     @jax.jit
     def distance(world: World, points: Any) -> Any:
@@ -255,7 +259,8 @@ def _distance_function(world: World) -> Callable[[Float[np.ndarray, "n 3"]], Flo
 
     @in_float64
     def on_host(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
-        return np.asarray(distance(on_device, np.asarray(points, dtype=float)))
+        points = np.asarray(points, dtype=float)
+        return in_portions(lambda some: distance(on_device, points[some]), np.arange(len(points)), POINTS_AT_ONCE)
 
     with jax.enable_x64(True):
         on_device = jax.device_put(world)

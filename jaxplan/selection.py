@@ -56,7 +56,7 @@ class Margins:
     clearance: Float[Array, "k"]
     """Lower bound [m] of the distance to obstacles and to the room's faces, anywhere on the trajectory."""
     rotor_speed: Float[Array, "k"]
-    """Distance [rad/s] of the worst rotor from its nearest limit, over the samples."""
+    """Distance [rad/s] of the worst rotor from its nearest limit, over the samples; NaN where a classifier decides."""
     probability: Float[Array, "k"]
     """Of being tracked, by the classifier; NaN without one."""
     reasons: UInt32[Array, "k"]
@@ -82,11 +82,13 @@ def check(
     samples = splines.derivatives(middles)
     deviation = _deviation(samples[:, :, 0], paths)
     clear = _clearance_bound(samples, splines, count, world)
-    rotors = least_rotor_margin(vehicle, splines.states(config.instants))
     finite = jnp.isfinite(splines.position).all(axis=(0, 1, 2)) & jnp.isfinite(splines.yaw).all(axis=(0, 1, 2))
+    unknown = jnp.full_like(deviation, jnp.nan)
     if probability is None:
-        feasible, doubted, probability = rotors >= 0.0, Reason.LIMITS, jnp.full_like(rotors, jnp.nan)
+        rotors, probability = least_rotor_margin(vehicle, splines.states(config.instants)), unknown
+        feasible, doubted = rotors >= 0.0, Reason.LIMITS
     else:
+        rotors = unknown
         feasible, doubted = probability >= config.least_probability, Reason.UNTRACKABLE
     reasons = (
         bit(~finite, Reason.NONFINITE)

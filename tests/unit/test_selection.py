@@ -121,7 +121,7 @@ def test_a_probability_decides_instead_of_the_rotor_limits(room):
     doubted = (np.asarray(margins.reasons) & int(Reason.UNTRACKABLE)) != 0
     assert doubted.tolist() == [False, True, False, True, True]
     assert not (np.asarray(margins.reasons) & int(Reason.LIMITS)).any()
-    assert (np.asarray(margins.rotor_speed)[:2] < 0.0).all()
+    assert np.isnan(np.asarray(margins.rotor_speed)).all()
     np.testing.assert_allclose(margins.probability, chances, atol=1e-7)
 
 
