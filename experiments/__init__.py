@@ -11,4 +11,5 @@ NAMES = (
     "environments",
     "trajectories",
     "tune-knots",
+    "network-size",
 )

@@ -1,0 +1,150 @@
+"""How large the policy's network should be: held-out error of the total time against the time of an evaluation.
+
+    jaxplan experiment network-size --preset smoke|small|full [--data DIR]
+
+Each size is pretrained alike, on a dataset made by ``jaxplan train dataset`` or, without one, on shards made for the
+purpose; the error is that of shards held out. Timed are 400 sequences of 14 waypoints: the encoder with one decoder
+pass, and the decoder alone, which the arrival matching repeats.
+"""
+
+import dataclasses
+import functools
+import tempfile
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from jaxplan.errors import InputError
+from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
+from jaxplan.experiment.tables import as_latex, as_markdown
+from jaxplan.policy.network import NetworkConfig
+from jaxplan.policy.neural import neural_policy
+from jaxplan.training.dataset import DatasetConfig, make_dataset
+from jaxplan.training.examples import lanes_of, load_examples
+from jaxplan.training.pretrain import PretrainConfig, pretrain
+from jaxplan.viz.network_size import draw_network_size
+
+CANDIDATES = 400
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Config:
+    """Which sizes, and how long each is trained."""
+
+    hidden: tuple[int, ...] = (16, 32, 64, 128)
+    """Widths of the decoder's GRU; attention and bottleneck are half as wide."""
+
+    steps: int = 2000
+    """Gradient steps of each size."""
+
+    batch: int = 384
+    """Sequences of a step."""
+
+    data: str | None = None
+    """A folder made by jaxplan train dataset. Default: shards are made first."""
+
+    shards: int = 10
+    """Of 2,560 sequences each, where they have to be made; the first and every eighth after it is held out."""
+
+    repeats: int = 30
+    """Timed evaluations."""
+
+    seed: int = 0
+    """Seed of the weights and batches."""
+
+    def __post_init__(self) -> None:
+        if min(self.hidden, default=0) < 2 or min(self.steps, self.batch, self.repeats) < 1 or self.shards < 2:
+            have = f"--hidden {self.hidden} --steps {self.steps} --batch {self.batch} --shards {self.shards}"
+            raise InputError(f"{have}: want sizes from 2, steps, batches and repeats from 1, and at least 2 shards")
+
+
+def items(config: Config) -> list[Item]:
+    return [Item(f"hidden {width}", "sizes", {"hidden": width}) for width in config.hidden]
+
+
+def evaluate(config: Config, item: Item) -> Row:
+    width = item.values["hidden"]
+    network = NetworkConfig(hidden=width, attention=width // 2, latent=width // 2)
+    settings = PretrainConfig(
+        network=network,
+        steps=config.steps,
+        batch=config.batch,
+        evaluate_every=min(500, config.steps),
+        seed=config.seed,
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        state, error = pretrain(Path(folder) / "run", _data(config), settings, report=lambda text: None)
+    weights = sum(leaf.size for leaf in jax.tree.leaves(state.averaged))
+    return {"hidden": width, "weights": weights, "error": error.overall, **_timed(config, network, state.averaged)}
+
+
+@functools.cache
+def _data(config: Config) -> Path:
+    """The dataset asked for, or one that lives as long as this process."""
+    if config.data is not None:
+        return Path(config.data)
+    _made.append(tempfile.TemporaryDirectory())
+    folder = Path(_made[-1].name)
+    make_dataset(folder, DatasetConfig(shards=config.shards), report=lambda text: None)
+    return folder
+
+
+_made: list[tempfile.TemporaryDirectory] = []
+
+
+def _timed(config, network, parameters):
+    """Median milliseconds of encoding with one pass, and of a pass, over held-out sequences."""
+    policy, held_out = neural_policy("sized", network, parameters), load_examples(_data(config), held_out=True)
+    longest = np.argsort(-held_out.count, kind="stable")
+    some = lanes_of(held_out, np.resize(longest, CANDIDATES))
+    state = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), some.initial)
+    encode, decode = jax.jit(policy.encode), jax.jit(policy.decode)
+    memory = encode(some.waypoints, some.count)
+    whole, each = [], []
+    for _ in range(config.repeats + 1):
+        began = time.perf_counter()
+        jax.block_until_ready(decode(encode(some.waypoints, some.count), state))
+        between = time.perf_counter()
+        jax.block_until_ready(decode(memory, state))
+        whole.append(between - began)
+        each.append(time.perf_counter() - between)
+    return {"evaluation_ms": 1e3 * float(np.median(whole[1:])), "pass_ms": 1e3 * float(np.median(each[1:]))}
+
+
+def report(results: Results) -> Report:
+    rows = [row for row in results.rows if row is not None]
+    header = ["hidden", "weights", "held-out error [%]", "evaluation [ms]", "decoder pass [ms]"]
+    lines = [
+        [
+            str(row["hidden"]),
+            str(row["weights"]),
+            f"{100.0 * row['error']:.2f}",
+            f"{row['evaluation_ms']:.2f}",
+            f"{row['pass_ms']:.2f}",
+        ]
+        for row in rows
+    ]
+    markdown = as_markdown(header, lines)
+    return Report(
+        markdown=f"{markdown}\n![error against time](network_size.png)\n",
+        table=rows,
+        latex=as_latex(header, lines, "Size of the policy's network"),
+        figures={"network_size.png": lambda path: draw_network_size(rows, path, shipped=NetworkConfig().hidden)},
+        summary=markdown,
+    )
+
+
+EXPERIMENT = Experiment(
+    summary="Our choice of the network's size: held-out error against the time of an evaluation",
+    presets={
+        "smoke": Config(hidden=(8, 16), steps=20, shards=2, repeats=3),
+        "small": Config(),
+        "full": Config(hidden=(16, 32, 48, 64, 96, 128), steps=12_000, shards=48),
+    },
+    items=items,
+    evaluate=evaluate,
+    report=report,
+    parallel=False,
+)

@@ -1,0 +1,42 @@
+"""The picture of the network's size: error against time."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+
+def draw_network_size(rows: Sequence[Mapping[str, Any]], path: Path, *, shipped: int) -> None:
+    """One point a size, for a whole evaluation and for one decoder pass, into a PNG file.
+
+    Args:
+        rows: as ``experiments.network_size`` writes them.
+        shipped: the width that the shipped policies have, which is marked.
+    """
+    figure = Figure(figsize=(6.4, 3.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    axis = figure.subplots()
+    error = [100.0 * row["error"] for row in rows]
+    for name, label in (("evaluation_ms", "encoder and one pass"), ("pass_ms", "one decoder pass")):
+        times = [row[name] for row in rows]
+        (line,) = axis.plot(times, error, marker="o", label=label)
+        for row, time, value in zip(rows, times, error, strict=True):
+            weight = "bold" if row["hidden"] == shipped else "normal"
+            axis.annotate(
+                str(row["hidden"]),
+                (time, value),
+                xytext=(4, 4),
+                textcoords="offset points",
+                color=line.get_color(),
+                fontweight=weight,
+            )
+    axis.set_xscale("log")
+    axis.set_ylim(bottom=0.0)
+    axis.set_xlabel("400 sequences of 14 waypoints [ms]")
+    axis.set_ylabel("held-out error of the total time [%]")
+    axis.set_title("width of the decoder's GRU; bold: shipped", fontsize=9)
+    axis.legend(frameon=False)
+    axis.spines[["top", "right"]].set_visible(False)
+    figure.savefig(path, dpi=130)
