@@ -12,7 +12,7 @@ from jaxplan import interception
 from jaxplan.errors import InputError
 from jaxplan.interception import Episode, Scenario
 from jaxplan.io.targets import Target, load_target, stored_targets
-from jaxplan.planner import build_planner
+from jaxplan.planner import Planner, build_planner
 from jaxplan.policy.checkpoint import WEIGHTS
 from jaxplan.prediction.predictors import StepPredictor, build_predictor
 from jaxplan.prediction.target_model import shipped_model
@@ -122,13 +122,26 @@ def _sigma(predictor: str) -> float | None:
     return float(found.group(1)) if found else None
 
 
-@functools.lru_cache(maxsize=1)
 def _scenario(world: str, planner: str) -> Scenario:
-    """Only the newest is kept: compiled planners are large, and episodes come sorted by world and planner."""
+    """The planner in this world, with what it has compiled in others."""
+    known = _scenarios(planner)
+    if world not in known:
+        other = next(iter(known.values()), None)
+        known[world] = _load(world, planner, None if other is None else other.replanner.planner)
+    return known[world]
+
+
+@functools.lru_cache(maxsize=1)
+def _scenarios(planner: str) -> dict[str, Scenario]:
+    """By world. Only the newest planner's are kept: its programs are large, and episodes come sorted by planner."""
+    return {}
+
+
+def _load(world: str, planner: str, elsewhere: Planner | None) -> Scenario:
     known = planner if planner in get_args(intercept.Planner) else "no-policy"
     config = intercept.InterceptConfig(world=world, planner=known, predictor="noisy")
-    base = interception.prepare(config)
-    if planner == "optimiser":
+    base = interception.prepare(config, planner=elsewhere)
+    if planner == "optimiser" and elsewhere is None:
         policy, settings = optimiser_policy(TIME_WEIGHT), base.replanner.planner.config
         own = build_planner(settings, world=base.world, vehicle=base.vehicle, policy=policy)
         unused = interception.predictor_for(config, base.world, base.target)

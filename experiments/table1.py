@@ -122,20 +122,19 @@ def cells(config: Config) -> list[tuple[str, str]]:
 
 
 def items(config: Config) -> list[Item]:
-    """All episodes, those of one world and planner together."""
+    """All episodes, those of one planner together."""
     episodes, found = chosen(config), []
-    for world in config.worlds:
-        mine = [episode for episode in episodes if episode.world == world]
-        for planner, predictor in cells(config):
-            for episode in mine:
-                own = dataclasses.replace(episode, planner=planner, predictor=predictor)
-                name = f"{planner}/{predictor}/{own.target}/{own.speed:g} m/s/{own.departure:g} s"
-                found.append(Item(name, f"{world}/{planner}", dataclasses.asdict(own)))
+    for planner, predictor in cells(config):
+        for episode in episodes:
+            own = dataclasses.replace(episode, planner=planner, predictor=predictor)
+            name = f"{planner}/{predictor}/{own.target}/{own.speed:g} m/s/{own.departure:g} s"
+            found.append(Item(name, planner, dataclasses.asdict(own)))
     return found
 
 
 def prepare(config: Config, group: str) -> None:
-    closed_loop.prepare(*group.split("/"))
+    for world in config.worlds:
+        closed_loop.prepare(world, group)
 
 
 def evaluate(config: Config, item: Item) -> Row:

@@ -184,7 +184,7 @@ def _times(results: Results) -> str:
     full, longest = FULL * float(np.sum(each)), max(results.prepare_seconds.values(), default=0.0)
     return (
         f"{len(every)} warm episodes took {duration(sum(every))} of a worker, {60.0 / usual:.0f} a minute; "
-        f"compiling for {len(results.prepare_seconds)} planners and worlds took {duration(preparing)}.\n"
+        f"compiling for {len(results.prepare_seconds)} planners took {duration(preparing)}.\n"
         f"Extrapolated to {FULL} episodes a cell: {duration(full + preparing)} with one worker, "
         f"{duration((full + preparing) / 2)} with 2, {duration(full / MANY + longest)} with {MANY} on as many cores.\n"
     )

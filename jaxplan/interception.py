@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from jaxplan.compilation import compilations
 from jaxplan.config import InterceptConfig
@@ -15,7 +15,7 @@ from jaxplan.errors import InputError
 from jaxplan.feasibility.checkpoint import load_classifier
 from jaxplan.io.targets import Target, load_target
 from jaxplan.numerics import in_float64
-from jaxplan.planner import PlannerConfig, build_planner
+from jaxplan.planner import Planner, PlannerConfig, build_planner
 from jaxplan.planner.lanes import in_portions
 from jaxplan.policy.checkpoint import load_policy
 from jaxplan.policy.constant_speed import constant_speed_policy
@@ -126,11 +126,12 @@ def run(config: InterceptConfig, progress: Progress | None = None) -> Episode:
     return fly(scenario, report, warmup_s=time.perf_counter() - began)
 
 
-def prepare(config: InterceptConfig, *, exhaustive: bool = False) -> Scenario:
+def prepare(config: InterceptConfig, *, exhaustive: bool = False, planner: Planner | None = None) -> Scenario:
     """Load everything a configuration names and check that it fits together.
 
     Args:
         exhaustive: evaluate every candidate of a cycle, as ``PlannerConfig`` says.
+        planner: taken to this world, with what it has compiled, instead of building the one that is named.
     """
     world = load_world(config.world)
     vehicle = load_vehicle()
@@ -142,7 +143,10 @@ def prepare(config: InterceptConfig, *, exhaustive: bool = False) -> Scenario:
     position = _start(config, world, target, planner_config.padding)
     _check_start(position, world, vehicle, distance)
     start = hover(position)
-    planner = build_planner(planner_config, world=world, vehicle=vehicle, **_policy(config.planner))
+    if planner is None:
+        planner = build_planner(planner_config, world=world, vehicle=vehicle, **_policy(config.planner))
+    else:
+        planner = planner.in_world(world)
     predictor = predictor_for(config, world, target)
     return Scenario(
         world=world,
@@ -253,18 +257,19 @@ def _judge(flight: Flight, scenario: Scenario) -> tuple[Flight, str | None]:
 def _distance_function(world: World) -> Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n"]]:
     """Distance to the nearest obstacle or face of the room, compiled once, from NumPy to NumPy."""
 
-    @jax.jit
-    def distance(world: World, points: Any) -> Any:
-        return jax.numpy.minimum(clearance(world, points), wall_clearance(world, points))
-
     @in_float64
     def on_host(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
         points = np.asarray(points, dtype=float)
-        return in_portions(lambda some: distance(on_device, points[some]), np.arange(len(points)), POINTS_AT_ONCE)
+        return in_portions(lambda some: _distance(on_device, points[some]), np.arange(len(points)), POINTS_AT_ONCE)
 
     with jax.enable_x64(True):
         on_device = jax.device_put(world)
     return on_host
+
+
+@jax.jit
+def _distance(world: World, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
+    return jax.numpy.minimum(clearance(world, points), wall_clearance(world, points))
 
 
 def _check_target(target: Target, world: World, distance: Callable) -> None:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, UInt32
 from jaxplan.errors import InputError
 from jaxplan.minsnap.batch import SplineBatch
 from jaxplan.numerics import safe_norm
-from jaxplan.records import record
+from jaxplan.records import record, replace
 from jaxplan.status import Reason, bit
 from jaxplan.vehicle.limits import least_rotor_margin
 from jaxplan.vehicle.params import Vehicle
@@ -70,18 +70,26 @@ def check(
     config: CheckConfig,
     probability: Float[Array, "k"] | None = None,
 ) -> Margins:
-    """Deviation, clearance and feasibility of every spline.
+    """Deviation, feasibility and clearance of every spline.
 
     Args:
         paths: the searched paths, resampled at uniform arc length.
         probability: of being tracked; where given, it decides feasibility instead of the rotor limits, which flights
             may exceed for an instant without harm.
     """
-    count = config.samples_per_segment
-    middles = (np.arange(count) + 0.5) / count
-    samples = splines.derivatives(middles)
-    deviation = _deviation(samples[:, :, 0], paths)
-    clear = _clearance_bound(samples, splines, count, world)
+    flown = check_flight(splines, paths, vehicle, config, probability)
+    return check_clearance(flown, splines, world, vehicle, config)
+
+
+def check_flight(
+    splines: SplineBatch,
+    paths: Float[Array, "p 3 k"],
+    vehicle: Vehicle,
+    config: CheckConfig,
+    probability: Float[Array, "k"] | None = None,
+) -> Margins:
+    """``check`` without obstacles: the clearance is NaN."""
+    deviation = _deviation(splines.derivatives(_middles(config))[:, :, 0], paths)
     finite = jnp.isfinite(splines.position).all(axis=(0, 1, 2)) & jnp.isfinite(splines.yaw).all(axis=(0, 1, 2))
     unknown = jnp.full_like(deviation, jnp.nan)
     if probability is None:
@@ -93,16 +101,30 @@ def check(
     reasons = (
         bit(~finite, Reason.NONFINITE)
         | bit(~(deviation < config.max_deviation), Reason.DEVIATION)
-        | bit(~(clear >= vehicle.radius + config.tracking_margin), Reason.CLEARANCE)
         | bit(~feasible, doubted)
     )
-    return Margins(deviation=deviation, clearance=clear, rotor_speed=rotors, probability=probability, reasons=reasons)
+    return Margins(deviation=deviation, clearance=unknown, rotor_speed=rotors, probability=probability, reasons=reasons)
+
+
+def check_clearance(
+    margins: Margins, splines: SplineBatch, world: World, vehicle: Vehicle, config: CheckConfig
+) -> Margins:
+    """The margins with the clearance of every spline in this world."""
+    samples = splines.derivatives(_middles(config))
+    clear = _clearance_bound(samples, splines, config.samples_per_segment, world)
+    hit = bit(~(clear >= vehicle.radius + config.tracking_margin), Reason.CLEARANCE)
+    return replace(margins, clearance=clear, reasons=margins.reasons | hit)
 
 
 def select(score: Float[np.ndarray, "k"], reasons: UInt32[np.ndarray, "k"]) -> int:
     """Index of the best usable candidate, -1 when there is none; a NaN score never wins (host)."""
     usable = (np.asarray(reasons) == 0) & np.isfinite(score)
     return int(np.argmax(np.where(usable, score, -np.inf))) if usable.any() else -1
+
+
+def _middles(config: CheckConfig) -> Float[np.ndarray, "s"]:
+    """Normalised times of the middles of a segment's pieces."""
+    return (np.arange(config.samples_per_segment) + 0.5) / config.samples_per_segment
 
 
 def _deviation(positions: Float[Array, "m s 3 k"], paths: Float[Array, "p 3 k"]) -> Float[Array, "k"]:

@@ -30,6 +30,7 @@ from jaxplan.planner.stations import Routes, Stations, compile_stations, no_traj
 from jaxplan.planner.warmup import compile_all
 from jaxplan.policy.protocol import Policy
 from jaxplan.prediction.candidates import Candidates, candidates_from
+from jaxplan.records import replace
 from jaxplan.search.lattice import Lattices, Paths, SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes
 from jaxplan.search.routes import warmup as warm_up_search
@@ -66,7 +67,12 @@ class Parts(NamedTuple):
         self, state: FlatState, routes: Routes, durations: Float[np.ndarray, "m k"]
     ) -> tuple[SplineBatch, Margins]:
         """Solved and checked trajectories."""
-        return self._each(len(routes.count), lambda k: self.stations.trace(state, pick(routes, k), durations[:, k]))
+        return self._each(len(routes.count), lambda k: self.solve(state, pick(routes, k), durations[:, k]))
+
+    def solve(self, state: FlatState, routes: Routes, durations: Float[Array, "m k"]) -> tuple[SplineBatch, Margins]:
+        """The same for as many lanes as the stations take."""
+        splines, margins = self.stations.trace(state, routes, durations)
+        return splines, self.stations.clear(self.world, splines, margins)
 
     def _each(self, count: int, program: Callable[[Int[np.ndarray, "n"]], Any]) -> Any:
         return in_portions(program, np.arange(count), self.config.lanes)
@@ -96,20 +102,26 @@ def build_planner(
         classifier: decides which trajectories the vehicle can follow; without one the rotor limits do.
     """
     config = config or PlannerConfig()
+    return _in_world(config, compile_stations(config, vehicle, policy, classifier), world)
+
+
+def _in_world(config: PlannerConfig, stations: Stations, world: World) -> Planner:
+    """A planner for one world; what is compiled without looking at the world is shared by all."""
     lattices = build_lattices(world, SearchConfig(padding=config.padding))
-    world = in_float64(jax.device_put)(world)
-    parts = Parts(config, compile_stations(config, world, vehicle, policy, classifier), lattices, world)
+    unnamed = replace(world, name="", provenance="")  # names are part of what is compiled for
+    parts = Parts(config, stations, lattices, in_float64(jax.device_put)(unnamed))
     return Planner(
         plan_batch=functools.partial(in_float64(_plan_batch), parts),
         approach=functools.partial(in_float64(_approach), parts),
         warmup=functools.partial(in_float64(_warmup), parts),
+        in_world=functools.partial(_in_world, config, stations),
         config=config,
     )
 
 
 def _plan_batch(parts: Parts, state: FlatState, candidates: Candidates, timer: Timer | None = None) -> Plans:
-    config, stations, timer = parts.config, parts.stations, timer or Timer()
-    reasons, goals, times = _rejected(stations, state, candidates, config.lanes)
+    config, timer = parts.config, timer or Timer()
+    reasons, goals, times = _rejected(parts, state, candidates)
     score = config.likelihood_weight * np.asarray(candidates.likelihood) - times
     chosen = np.flatnonzero(reasons == 0)
     timer.lap("reject")
@@ -149,8 +161,8 @@ def _plan_batch(parts: Parts, state: FlatState, candidates: Candidates, timer: T
 
 
 def _approach(parts: Parts, state: FlatState, candidates: Candidates, timer: Timer | None = None) -> Plans:
-    config, stations, timer = parts.config, parts.stations, timer or Timer()
-    reasons, goals, times = _rejected(stations, state, candidates, config.lanes)
+    timer = timer or Timer()
+    reasons, goals, times = _rejected(parts, state, candidates)
     chosen = _latest_goals(reasons, goals, times)
     member, shares, stretches = (axis.ravel() for axis in np.meshgrid(*_approach_axes(len(chosen)), indexing="ij"))
     failed, whole_time = np.zeros(len(member), np.uint32), np.zeros(len(member))
@@ -177,7 +189,7 @@ def _approach(parts: Parts, state: FlatState, candidates: Candidates, timer: Tim
 
 def _warmup(parts: Parts, state: FlatState) -> None:
     warm_up_search(parts.lattices, parts.world, parts.config.path_capacity)
-    compile_all(parts.stations, parts.config, state)
+    compile_all(parts.stations, parts.world, parts.config, state)
     candidates = _around(state, parts.config.lanes)
     _plan_batch(parts, state, candidates)
     _approach(parts, state, candidates)
@@ -199,7 +211,7 @@ def _evaluate(
         some = pick(routes, padded)
         arrival = stations.match(state, some, times[padded])
         timer.lap("policy", arrival)
-        traced = stations.trace(state, some, arrival.durations)
+        traced = parts.solve(state, some, arrival.durations)
         reasons = (np.asarray(arrival.reasons) | np.asarray(traced[1].reasons))[: len(lanes)]
         timer.lap("minsnap")
         yield Evaluated(lanes, np.asarray(arrival.alpha)[: len(lanes)], reasons, traced)
@@ -214,7 +226,7 @@ def _by_score(score: Float[np.ndarray, "k"], reasons: UInt32[np.ndarray, "k"]) -
 
 
 def _rejected(
-    stations: Stations, state: FlatState, candidates: Candidates, width: int
+    parts: Parts, state: FlatState, candidates: Candidates
 ) -> tuple[UInt32[np.ndarray, "k"], Float[np.ndarray, "k 3"], Float[np.ndarray, "k"]]:
     """Early reasons, goals and arrival times of the candidates, on the host."""
     goals, times = np.asarray(candidates.goals), np.asarray(candidates.arrival_times)
@@ -229,9 +241,9 @@ def _rejected(
             reasons=reasons[lanes],
             target=target,
         )
-        return stations.reject(some, start).reasons
+        return parts.stations.reject(parts.world, some, start).reasons
 
-    return in_portions(mark, np.arange(len(goals)), width) if len(goals) else reasons.copy(), goals, times
+    return in_portions(mark, np.arange(len(goals)), parts.config.lanes) if len(goals) else reasons.copy(), goals, times
 
 
 def _latest_goals(

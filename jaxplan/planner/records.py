@@ -17,6 +17,7 @@ from jaxplan.search.knots import KnotConfig
 from jaxplan.selection import CheckConfig, Margins
 from jaxplan.selection import select as select_best
 from jaxplan.spline import FlatState, PiecewisePolynomial
+from jaxplan.world.obstacles import World
 
 APPROACH_GOALS = 4
 APPROACH_SHARES = (1.0, 0.6, 0.3)
@@ -94,6 +95,8 @@ class Planner(NamedTuple):
     """(state, candidates, timer): trajectories towards the latest candidates, only late, for when none can be met."""
     warmup: Callable[[FlatState], None]
     """Compile every station."""
+    in_world: Callable[[World], "Planner"]
+    """The same planner in another world, with all that is compiled without looking at the world."""
     config: PlannerConfig
 
 

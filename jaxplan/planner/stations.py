@@ -1,9 +1,9 @@
 """The compiled stations of a replan, each on its own so that it can be timed, all for the same number of lanes.
 
-The world is an argument of what is compiled, not a constant: a distance grid would bloat the program.
+The world is an argument of the two stations that see it, not a constant: a distance grid would bloat the program, and
+the other stations serve every world.
 """
 
-import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ from jaxplan.planner.records import PlannerConfig
 from jaxplan.policy.protocol import Policy
 from jaxplan.prediction.candidates import Candidates, reject_early
 from jaxplan.search.knots import MAX_WAYPOINTS, select_route
-from jaxplan.selection import Margins, check
+from jaxplan.selection import Margins, check_clearance, check_flight
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason, bit
 from jaxplan.vehicle.params import Vehicle
@@ -42,16 +42,20 @@ class Stations(NamedTuple):
     """The compiled functions."""
 
     reject: Callable[..., Candidates]
+    """(world, candidates, start)."""
     route: Callable[..., Routes]
     allocate: Callable[..., Float[Array, "m k"]]
     """(state, routes): the policy's least durations [s]."""
     match: Callable[..., Arrival]
     """(state, routes, arrival times)."""
     trace: Callable[..., tuple[SplineBatch, Margins]]
+    """(state, routes, durations): solved and checked, but for obstacles."""
+    clear: Callable[..., Margins]
+    """(world, splines, margins): with the clearance."""
 
 
 def compile_stations(
-    config: PlannerConfig, world: World, vehicle: Vehicle, policy: Policy, classifier: Classifier | None
+    config: PlannerConfig, vehicle: Vehicle, policy: Policy, classifier: Classifier | None
 ) -> Stations:
     """Bind configuration and constants, and compile."""
 
@@ -80,14 +84,16 @@ def compile_stations(
         return match_arrival(lambda d: policy.decode(context, d), state, arrival_times, config.arrival)
 
     @jax.jit
-    def trace(
-        world: World, state: FlatState, routes: Routes, durations: Float[Array, "m k"]
-    ) -> tuple[SplineBatch, Margins]:
+    def trace(state: FlatState, routes: Routes, durations: Float[Array, "m k"]) -> tuple[SplineBatch, Margins]:
         splines = fit(state, routes.waypoints, durations, config.max_yaw_rate)
         probability = None if classifier is None else classifier.predict(splines).probability
-        return splines, check(splines, routes.samples, world, vehicle, config.checks, probability)
+        return splines, check_flight(splines, routes.samples, vehicle, config.checks, probability)
 
-    return Stations(functools.partial(reject, world), route, allocate, match, functools.partial(trace, world))
+    @jax.jit
+    def clear(world: World, splines: SplineBatch, margins: Margins) -> Margins:
+        return check_clearance(margins, splines, world, vehicle, config.checks)
+
+    return Stations(reject, route, allocate, match, trace, clear)
 
 
 def shortened(routes: Routes) -> Routes:
@@ -101,7 +107,7 @@ def cut(routes: Routes, length: int) -> Routes:
 
 
 def no_trajectories() -> tuple[SplineBatch, Margins]:
-    """What ``trace`` gives for no candidate at all."""
+    """What ``trace`` and ``clear`` give for no candidate at all."""
     segments, none = MAX_WAYPOINTS - 1, np.zeros(0)
     splines = SplineBatch(
         durations=np.zeros((segments, 0)), position=np.zeros((segments, 10, 3, 0)), yaw=np.zeros((segments, 6, 1, 0))
