@@ -43,6 +43,9 @@ def draw_policy_comparison(
     for name, scores in curve.items():
         fourth.plot(list(scores), list(scores.values()), marker="o", markersize=3, label=name)
     fourth.set(xlabel="rollout labels", ylabel="area under the ROC curve", xscale="log")
+    counts = sorted({count for found in curve.values() for count in found})
+    fourth.set_xticks(counts, [str(count) for count in counts])
+    fourth.minorticks_off()
     for axis in (first, second, third, fourth):
         axis.legend(frameon=False, fontsize=8)
         axis.spines[["top", "right"]].set_visible(False)
