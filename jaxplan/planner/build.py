@@ -40,6 +40,9 @@ from jaxplan.status import Reason
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.obstacles import World
 
+GOALS_AT_ONCE = 512
+"""Candidates that are looked at before the search in one call: little work each (arbitrary)."""
+
 
 class Parts(NamedTuple):
     """What a planner is made of."""
@@ -243,7 +246,7 @@ def _rejected(
         )
         return parts.stations.reject(parts.world, some, start).reasons
 
-    return in_portions(mark, np.arange(len(goals)), parts.config.lanes) if len(goals) else reasons.copy(), goals, times
+    return in_portions(mark, np.arange(len(goals)), GOALS_AT_ONCE) if len(goals) else reasons.copy(), goals, times
 
 
 def _latest_goals(

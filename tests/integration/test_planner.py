@@ -6,6 +6,7 @@ import jax
 import numpy as np
 import pytest
 
+from jaxplan.compilation import compilations
 from jaxplan.errors import InputError
 from jaxplan.planner import PlannerConfig, build_planner, select
 from jaxplan.policy.constant_speed import constant_speed_policy
@@ -18,7 +19,7 @@ from jaxplan.spline import FlatState, hover
 from jaxplan.status import PlanStatus, Reason
 from jaxplan.vehicle.params import load_vehicle
 from jaxplan.world.clearance import clearance, wall_clearance
-from jaxplan.world.obstacles import make_obstacles
+from jaxplan.world.obstacles import Boxes, make_obstacles
 from jaxplan.world.scene import load_world
 
 START = np.array([-4.3, -4.3, 1.0])
@@ -164,6 +165,23 @@ def test_how_many_lanes_a_program_takes_changes_nothing(planner, world, moving):
     assert both.sum() > 3
     np.testing.assert_array_equal(some.reasons[both], all_at_once.reasons[both])
     np.testing.assert_allclose(some.alpha[both], all_at_once.alpha[both], rtol=1e-9)
+
+
+def test_a_planner_taken_to_another_world_plans_as_one_built_there(planner, world, moving):
+    """And compiles only what looks at obstacles, if their numbers differ; nothing if they do not."""
+    wall = Boxes(center=np.array([[-1.0, -1.0, 1.0]]), half=np.array([[0.5, 2.0, 1.0]]), rotation=np.eye(3)[None])
+    crowded = replace(world, name="crowded", obstacles=make_obstacles(boxes=wall))
+    built = build_planner(CONFIG, world=crowded, vehicle=load_vehicle(), policy=constant_speed_policy())
+    moved = planner.in_world(crowded)
+    given = candidates(30)
+    here, there, theirs = (some.plan_batch(moving, given) for some in (planner, moved, built))
+    np.testing.assert_array_equal(there.reasons, theirs.reasons)
+    np.testing.assert_allclose(there.alpha, theirs.alpha, rtol=1e-12)
+    assert (here.reasons != there.reasons).any()
+    before = compilations()
+    again = moved.in_world(replace(crowded, name="the same under another name"))
+    np.testing.assert_array_equal(again.plan_batch(moving, given).reasons, theirs.reasons)
+    assert compilations() == before
 
 
 def test_no_candidates_at_all(planner, moving):
