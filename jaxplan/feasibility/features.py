@@ -40,20 +40,20 @@ class FeatureConfig:
 
 def motion_features(splines: SplineBatch) -> Float[Array, "k p f"]:
     """Features of ``INSTANTS`` instants of each of k trajectories, compressed to the order of 1 (float32)."""
-    states = splines.states(INSTANTS)
-    velocity, acceleration, jerk, snap = (jnp.moveaxis(states.derivatives[:, n], -1, 0) for n in range(1, 5))
-    yaw_rate, yaw_acceleration = states.yaw[:, 1].T, states.yaw[:, 2].T
-    force = acceleration + jnp.array([0.0, 0.0, GRAVITY], acceleration.dtype)
-    thrust = safe_norm(force)
-    up = force / jnp.maximum(thrust, LEAST_THRUST)[..., None]
-    climb, along, along_snap = (jnp.sum(vector * up, axis=-1) for vector in (velocity, jerk, snap))
-    turning = safe_norm(jerk - along[..., None] * up) / jnp.maximum(thrust, LEAST_THRUST)
-    twisting = safe_norm(snap - along_snap[..., None] * up) / jnp.maximum(thrust, LEAST_THRUST)
-    total = jnp.sum(splines.durations, axis=0)[:, None]
+    states = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), splines.states(INSTANTS))
+    velocity, acceleration, jerk, snap = (states.derivatives[:, n] for n in range(1, 5))  # (p, 3, k)
+    yaw_rate, yaw_acceleration = states.yaw[:, 1], states.yaw[:, 2]
+    force = acceleration + jnp.array([0.0, 0.0, GRAVITY], jnp.float32)[:, None]
+    thrust = safe_norm(force, axis=1)
+    up = force / jnp.maximum(thrust, LEAST_THRUST)[:, None]
+    climb, along, along_snap = (jnp.sum(vector * up, axis=1) for vector in (velocity, jerk, snap))
+    turning = safe_norm(jerk - along[:, None] * up, axis=1) / jnp.maximum(thrust, LEAST_THRUST)
+    twisting = safe_norm(snap - along_snap[:, None] * up, axis=1) / jnp.maximum(thrust, LEAST_THRUST)
+    total = jnp.sum(splines.durations, axis=0).astype(jnp.float32)
     features = [
         jnp.log((thrust + 0.1) / GRAVITY),
-        up[..., 2],
-        jnp.arcsinh(0.5 * safe_norm(velocity)),
+        up[:, 2],
+        jnp.arcsinh(0.5 * safe_norm(velocity, axis=1)),
         jnp.arcsinh(0.5 * climb),
         jnp.arcsinh(0.1 * along),
         jnp.arcsinh(turning),
@@ -63,7 +63,7 @@ def motion_features(splines: SplineBatch) -> Float[Array, "k p f"]:
         jnp.arcsinh(0.3 * yaw_acceleration),
         jnp.log(jnp.maximum(total, 1e-3)) * jnp.ones_like(thrust),
     ]
-    return jnp.stack(features, axis=-1).astype(jnp.float32)
+    return jnp.moveaxis(jnp.stack(features), (0, 1, 2), (2, 1, 0))
 
 
 class FeatureNetwork(nn.Module):
