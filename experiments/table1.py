@@ -133,7 +133,7 @@ def items(config: Config) -> list[Item]:
 
 
 def prepare(config: Config, group: str) -> None:
-    for world in config.worlds:
+    for world in dict.fromkeys(episode.world for episode in chosen(config)):
         closed_loop.prepare(world, group)
 
 
