@@ -66,16 +66,16 @@ class Parts(NamedTuple):
         """The policy's least durations [s]."""
         return self._each(len(routes.count), lambda k: self.stations.allocate(state, pick(routes, k)))
 
-    def trace(
-        self, state: FlatState, routes: Routes, durations: Float[np.ndarray, "m k"]
-    ) -> tuple[SplineBatch, Margins]:
-        """Solved and checked trajectories."""
-        return self._each(len(routes.count), lambda k: self.solve(state, pick(routes, k), durations[:, k]))
-
-    def solve(self, state: FlatState, routes: Routes, durations: Float[Array, "m k"]) -> tuple[SplineBatch, Margins]:
-        """The same for as many lanes as the stations take."""
+    def trace(self, state: FlatState, routes: Routes, durations: Float[Array, "m k"]) -> tuple[SplineBatch, Margins]:
+        """Solved and checked trajectories of as many lanes as the stations take."""
         splines, margins = self.stations.trace(state, routes, durations)
         return splines, self.stations.clear(self.world, splines, margins)
+
+    def trace_all(
+        self, state: FlatState, routes: Routes, durations: Float[np.ndarray, "m k"]
+    ) -> tuple[SplineBatch, Margins]:
+        """Solved and checked trajectories of any number of lanes."""
+        return self._each(len(routes.count), lambda k: self.trace(state, pick(routes, k), durations[:, k]))
 
     def _each(self, count: int, program: Callable[[Int[np.ndarray, "n"]], Any]) -> Any:
         return in_portions(program, np.arange(count), self.config.lanes)
@@ -174,7 +174,7 @@ def _approach(parts: Parts, state: FlatState, candidates: Candidates, timer: Tim
         paths = parts.search(state, goals[chosen], candidates.target)
         routes = parts.route(paths, member, shares)
         durations = parts.allocate(state, routes) * stretches
-        splines, margins = parts.trace(state, routes, durations)
+        splines, margins = parts.trace_all(state, routes, durations)
         whole_time = durations.sum(axis=0) / shares
         failed = margins.reasons | (paths.reasons & ~np.uint32(Reason.PREFIX_ONLY))[member]
     timer.lap("approach")
@@ -214,7 +214,7 @@ def _evaluate(
         some = pick(routes, padded)
         arrival = stations.match(state, some, times[padded])
         timer.lap("policy", arrival)
-        traced = parts.solve(state, some, arrival.durations)
+        traced = parts.trace(state, some, arrival.durations)
         reasons = (np.asarray(arrival.reasons) | np.asarray(traced[1].reasons))[: len(lanes)]
         timer.lap("minsnap")
         yield Evaluated(lanes, np.asarray(arrival.alpha)[: len(lanes)], reasons, traced)
