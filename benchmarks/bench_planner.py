@@ -5,7 +5,8 @@
 In each environment an interception is flown with the noisy predictor (20 steps x 20 samples), and the state and the
 candidates of every cycle are kept. Each cycle is then planned again with K of its candidates (more than 400 are drawn
 again, moved by centimetres), warm, stage by stage. The last rows are the same 400 sequences given to our own batched
-optimiser: without limits (a) and within the rotors' limits (c), from rest and without arrival matching.
+optimiser: without limits (a) and within the rotors' limits (c), from rest and without arrival matching; and the floor
+of one evaluation of the policy's network.
 """
 
 import argparse
@@ -22,6 +23,7 @@ from jaxplan.config import InterceptConfig
 from jaxplan.minsnap.allocation import time_allocation
 from jaxplan.numerics import in_float64
 from jaxplan.planner import Timer
+from jaxplan.policy.checkpoint import load_parameters
 from jaxplan.prediction.candidates import candidates_from
 from jaxplan.replanner import Replanner
 from jaxplan.search.knots import KnotConfig, select_route
@@ -93,6 +95,23 @@ def measure(world, policy, counts, departures, cycles, seed=0, optimiser=True):
     return rows + (baseline(scenario, kept) if optimiser else [])
 
 
+def floor(policy, candidates=400, segments=13):
+    """The least time of one evaluation of a policy's network: its operations at the rate of a large matrix product.
+
+    Nearly every weight is multiplied once for every segment of every candidate; attention is left out.
+    """
+    weights = sum(leaf.size for leaf in jax.tree.leaves(load_parameters(policy)[1]))
+    side = 2048
+    matrix = jax.numpy.ones((side, side), jax.numpy.float32)
+    product = _harness.timed(jax.jit(lambda x: x @ x), matrix, repeats=10)["min_ms"]
+    operations = 2.0 * weights * segments * candidates
+    floor_ms = product * operations / (2.0 * side**3)
+    return {"policy": policy, "candidates": candidates, "stage": "floor of one evaluation", "floor_ms": floor_ms} | {
+        "gflop": 1e-9 * operations,
+        "gflop_per_s": 2e-6 * side**3 / product,
+    }
+
+
 @in_float64
 def baseline(scenario, kept):
     """Our own optimiser on the sequences of one cycle."""
@@ -124,6 +143,8 @@ def main(arguments=None):
     rows = []
     for world in chosen.worlds:
         rows += measure(world, chosen.policy, chosen.counts, chosen.departures, chosen.cycles)
+    if chosen.policy != "no-policy":
+        rows.append(floor(chosen.policy))
     _harness.show(rows)
     if chosen.json:
         _harness.write(chosen.json, rows)
