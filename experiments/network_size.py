@@ -9,6 +9,7 @@ pass, and the decoder alone, which the arrival matching repeats.
 
 import dataclasses
 import functools
+import json
 import tempfile
 import time
 from pathlib import Path
@@ -21,9 +22,18 @@ from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
 from jaxplan.experiment.tables import as_latex, as_markdown
 from jaxplan.policy.network import NetworkConfig
 from jaxplan.policy.neural import neural_policy
-from jaxplan.training.dataset import DatasetConfig, make_dataset
+from jaxplan.training.dataset import (
+    HELD_OUT,
+    DatasetConfig,
+    build_flights,
+    build_labels,
+    make_shard,
+    shard_path,
+    write_shard,
+)
 from jaxplan.training.examples import lanes_of, load_examples
 from jaxplan.training.pretrain import PretrainConfig, pretrain
+from jaxplan.vehicle.params import load_vehicle
 from jaxplan.viz.network_size import draw_network_size
 
 CANDIDATES = 400
@@ -45,8 +55,8 @@ class Config:
     data: str | None = None
     """A folder made by jaxplan train dataset. Default: shards are made first."""
 
-    shards: int = 10
-    """Of 2,560 sequences each, where they have to be made; the first and every eighth after it is held out."""
+    shards: int = 8
+    """Of 2,560 sequences each, where they have to be made, at most 8; the last is held out."""
 
     repeats: int = 30
     """Timed evaluations."""
@@ -55,9 +65,13 @@ class Config:
     """Seed of the weights and batches."""
 
     def __post_init__(self) -> None:
-        if min(self.hidden, default=0) < 2 or min(self.steps, self.batch, self.repeats) < 1 or self.shards < 2:
+        if (
+            min(self.hidden, default=0) < 2
+            or min(self.steps, self.batch, self.repeats) < 1
+            or not 2 <= self.shards <= HELD_OUT
+        ):
             have = f"--hidden {self.hidden} --steps {self.steps} --batch {self.batch} --shards {self.shards}"
-            raise InputError(f"{have}: want sizes from 2, steps, batches and repeats from 1, and at least 2 shards")
+            raise InputError(f"{have}: want sizes from 2, steps, batches and repeats from 1, and 2 to 8 shards")
 
 
 def items(config: Config) -> list[Item]:
@@ -86,8 +100,11 @@ def _data(config: Config) -> Path:
     if config.data is not None:
         return Path(config.data)
     _made.append(tempfile.TemporaryDirectory())
-    folder = Path(_made[-1].name)
-    make_dataset(folder, DatasetConfig(shards=config.shards), report=lambda text: None)
+    folder, made = Path(_made[-1].name), DatasetConfig(shards=max(config.shards, HELD_OUT))
+    (folder / "dataset.json").write_text(json.dumps({"config": dataclasses.asdict(made)}))
+    label, fly = build_labels(load_vehicle(made.vehicle), made.labels), build_flights(made.labels)
+    for index in (*range(config.shards - 1), made.shards - 1):
+        write_shard(shard_path(folder, index), make_shard(made, index, label, fly))
     return folder
 
 
@@ -141,7 +158,7 @@ EXPERIMENT = Experiment(
     presets={
         "smoke": Config(hidden=(8, 16), steps=20, shards=2, repeats=3),
         "small": Config(),
-        "full": Config(hidden=(16, 32, 48, 64, 96, 128), steps=12_000, shards=48),
+        "full": Config(hidden=(16, 32, 48, 64, 96, 128), steps=12_000),
     },
     items=items,
     evaluate=evaluate,
