@@ -37,7 +37,7 @@ def draw_alpha_iteration(
     left.axhline(tolerance, color="0.4", linestyle="--", linewidth=1.0)
     left.set(yscale="log", xlabel="passes of the policy", ylabel="arrival error, median and 95 %")
     left.legend(frameon=False, fontsize=8)
-    _band(middle, alphas, times, "pretrained", (50.0, 95.0))
+    _band(middle, alphas, times, "policy", (50.0, 95.0))
     middle.plot(alphas, alphas, color="0.6", linewidth=1.0, label="state ignored")
     middle.set(xlabel="scale factor alpha", ylabel="T(alpha) / T(1), median and 5 to 95 %")
     middle.fill_between(alphas, *np.nanpercentile(times, [5.0, 95.0], axis=1), alpha=0.2, linewidth=0)
