@@ -94,21 +94,21 @@ def evaluate(config: Config, item: Item) -> Row:
     return {"hidden": width, "weights": weights, "error": error.overall, **_timed(config, network, state.averaged)}
 
 
-@functools.cache
 def _data(config: Config) -> Path:
-    """The dataset asked for, or one that lives as long as this process."""
-    if config.data is not None:
-        return Path(config.data)
-    _made.append(tempfile.TemporaryDirectory())
-    folder, made = Path(_made[-1].name), DatasetConfig(shards=max(config.shards, HELD_OUT))
+    """The dataset asked for, or one of our own."""
+    return Path(_own(config.shards).name if config.data is None else config.data)
+
+
+@functools.cache
+def _own(shards: int) -> tempfile.TemporaryDirectory:
+    """A dataset of few shards, the last of them held out, that lives as long as this process."""
+    kept, made = tempfile.TemporaryDirectory(), DatasetConfig(shards=HELD_OUT)
+    folder = Path(kept.name)
     (folder / "dataset.json").write_text(json.dumps({"config": dataclasses.asdict(made)}))
     label, fly = build_labels(load_vehicle(made.vehicle), made.labels), build_flights(made.labels)
-    for index in (*range(config.shards - 1), made.shards - 1):
+    for index in (*range(shards - 1), HELD_OUT - 1):
         write_shard(shard_path(folder, index), make_shard(made, index, label, fly))
-    return folder
-
-
-_made: list[tempfile.TemporaryDirectory] = []
+    return kept
 
 
 def _timed(config, network, parameters):
