@@ -26,7 +26,7 @@ from jaxplan.planner import Timer
 from jaxplan.policy.checkpoint import load_parameters
 from jaxplan.prediction.candidates import candidates_from
 from jaxplan.replanner import Replanner
-from jaxplan.search.knots import KnotConfig, select_route
+from jaxplan.search.knots import KnotConfig, select_routes
 from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes
 from jaxplan.vehicle.limits import rotor_limit_margin
@@ -116,7 +116,7 @@ def floor(policy, candidates=400, segments=13):
 def baseline(scenario, kept):
     """Our own optimiser on the sequences of one cycle."""
     lattices = build_lattices(scenario.world, SearchConfig(padding=0.5))
-    select = jax.jit(jax.vmap(lambda path: select_route(path, KnotConfig()).knots))
+    select = jax.jit(lambda paths: select_routes(paths, KnotConfig()).knots)
     margin = functools.partial(rotor_limit_margin, scenario.vehicle)
     state, candidates = kept[0]
     distance = float(np.linalg.norm(candidates.target - state.pos))

@@ -17,6 +17,7 @@ from jaxplan.feasibility.checkpoint import load_classifier
 from jaxplan.minsnap.batch import fit_each
 from jaxplan.policy.checkpoint import load_policy
 from jaxplan.spline import FlatState
+from jaxplan.vehicle.params import load_vehicle
 
 from . import _harness
 
@@ -30,7 +31,7 @@ def sequences(lanes, waypoints, rng):
     return points - points[:1], count
 
 
-def measure(policy, classifier, lanes, waypoints, repeats):
+def measure(policy, classifier, vehicle, lanes, waypoints, repeats):
     rng = np.random.default_rng(0)
     points, count = sequences(lanes, waypoints, rng)
     derivatives = rng.normal(size=(5, 3)) * np.array([[0.0], [2.0], [3.0], [5.0], [10.0]])
@@ -53,7 +54,11 @@ def measure(policy, classifier, lanes, waypoints, repeats):
     passes = {"median_passes": float(np.median(calls)), "most_passes": int(calls.max())}
     yield {"part": "match arrival", **shape, **matched, **passes}
     splines = jax.jit(fit_each, static_argnums=3)(states, points, decode(context, states), 1.5)
-    yield {"part": "classify", **shape, **_harness.timed(jax.jit(classifier.predict), splines, repeats=repeats)}
+    yield {
+        "part": "classify",
+        **shape,
+        **_harness.timed(jax.jit(classifier.predict), splines, vehicle, repeats=repeats),
+    }
 
 
 def main(arguments=None):
@@ -68,7 +73,7 @@ def main(arguments=None):
         policy, classifier = load_policy(chosen.policy), load_classifier(chosen.classifier)
         for lanes in (36, 400, 2048):
             for waypoints in (7, 14):
-                rows += measure(policy, classifier, lanes, waypoints, chosen.repeats)
+                rows += measure(policy, classifier, load_vehicle(), lanes, waypoints, chosen.repeats)
     _harness.show(rows)
     if chosen.json:
         _harness.write(chosen.json, rows)

@@ -24,7 +24,7 @@ from scipy.sparse.csgraph import dijkstra
 from jaxplan.io.targets import load_target, stored_targets
 from jaxplan.numerics import in_float64
 from jaxplan.search.graph import LENGTHS, STEPS
-from jaxplan.search.knots import KnotConfig, select_route
+from jaxplan.search.knots import KnotConfig, select_routes
 from jaxplan.search.lattice import build_lattices, choose_level
 from jaxplan.search.routes import find_routes, warmup
 from jaxplan.world.clearance import clearance
@@ -115,7 +115,7 @@ def measure(name, count, peers, seed):
     built = time.perf_counter()
     warmup(lattices, world, CAPACITY)
     warm = time.perf_counter()
-    knots = jax.jit(jax.vmap(lambda path: select_route(path, KnotConfig())))
+    knots = jax.jit(lambda paths: select_routes(paths, KnotConfig()))
     jax.block_until_ready(knots(np.zeros((400, CAPACITY, 3))))
     times = {"routes": [], "knots": [], "routes + knots": [], "scipy": [], "skimage": []}
     edges = {}

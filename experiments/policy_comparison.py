@@ -5,8 +5,8 @@
 Sequences and their minimum-snap labels are made anew, from seeds that no training set has. Each policy's flights are
 flown with noise, as the labels are; a flight fails beyond 0.20 m or 15 degrees. T_MS is the total time at which the
 label's rotors just keep their limits. The learning curve trains classifiers on growing numbers of rollouts of the last
-policy's flights near the boundary, with and without the low fidelity's labels of all of them, and scores them on
-flights of other rooms; it is the mean over several draws of the rollouts.
+policy's flights near the boundary, with and without the low fidelity, and scores them on flights of other rooms; it is
+the mean over several draws of the rollouts.
 """
 
 import dataclasses
@@ -20,6 +20,7 @@ from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
 from jaxplan.experiment.statistics import wilson
 from jaxplan.experiment.tables import as_latex, as_markdown
 from jaxplan.feasibility.classifier import make_classifier
+from jaxplan.feasibility.features import low_fidelity
 from jaxplan.policy.checkpoint import load_policy, resolve_policy
 from jaxplan.tracking.result import TRAINING
 from jaxplan.tracking.track import track
@@ -34,7 +35,7 @@ from jaxplan.viz.policy_comparison import draw_policy_comparison
 
 SEEDS = 1_000_000
 """Added to the seed: no training set is made from as large a one."""
-FIDELITIES = {"rollouts alone": 0.0, "with rotor limits": 1.0}
+FIDELITIES = {"rollouts alone": False, "with rotor margins": True}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -122,7 +123,7 @@ def _flown(queries, durations):
 
 @functools.cache
 def _near_the_boundary(config, shard):
-    """Motions of the last policy's flights, too fast to comfortable, with labels of both fidelities."""
+    """Motions of the last policy's flights, too fast to comfortable, and whether a rollout tracked them."""
     vehicle, made, _, _ = _tools()
     queries, _ = _sequences(config, shard)
     rng = np.random.default_rng([config.seed, shard])
@@ -131,21 +132,24 @@ def _near_the_boundary(config, shard):
     for draw in range(config.tries):
         flights = solve(queries, active.perturbed(durations, (0.8, 1.15), 0.05, rng))
         feasible = active.roll_out(flights, np.arange(len(queries.count)), vehicle, seed=100 * shard + draw)
-        tries.append((flights.motion, flights.within_limits, feasible))
-    return tuple(np.concatenate(columns) for columns in zip(*tries, strict=True))
+        tries.append((flights.motion, feasible))
+    return Labelled(*(np.concatenate(columns) for columns in zip(*tries, strict=True)))
 
 
-def _curve(config, count, weight, draw):
+def _curve(config, count, related, draw):
     """Area under the curve on rooms held out, of a classifier that saw ``count`` rollouts of the others."""
-    motion, within_limits, feasible = _near_the_boundary(config, config.shards)
-    unseen, _, truth = _near_the_boundary(config, config.shards + 1)
-    if count > len(feasible):
-        raise InputError(f"--labels {count}: have {len(feasible)} flights to learn from; ask for fewer, or --tries")
-    some = np.random.default_rng([config.seed, draw]).permutation(len(feasible))[:count]
-    settings = ClassifierConfig(steps=config.steps, low_weight=weight, seed=draw)
-    model, _ = train_classifier(settings, Labelled(motion, within_limits), Labelled(motion[some], feasible[some]))
-    chance = active.judged(make_classifier(settings.features, model), unseen)
-    return {"labels": count, "weight": weight, "auc": area_under_curve(chance, truth)}
+    seen, unseen = (_near_the_boundary(config, config.shards + part) for part in (0, 1))
+    if count > len(seen.feasible):
+        raise InputError(
+            f"--labels {count}: have {len(seen.feasible)} flights to learn from; ask for fewer, or --tries"
+        )
+    some = np.random.default_rng([config.seed, draw]).permutation(len(seen.feasible))[:count]
+    settings = ClassifierConfig(steps=config.steps, related_to_low=related, seed=draw)
+    model, _ = train_classifier(settings, Labelled(seen.motion[some], seen.feasible[some]))
+    chance = active.judged(make_classifier(settings.features, model), unseen.motion)
+    margin = np.asarray(low_fidelity(unseen.motion))
+    auc, without_rollouts = (area_under_curve(score, unseen.feasible) for score in (chance, margin))
+    return {"labels": count, "related": related, "auc": auc, "margin_alone": without_rollouts}
 
 
 def report(results: Results) -> Report:
@@ -170,10 +174,12 @@ def report(results: Results) -> Report:
         ["rollout labels", *FIDELITIES],
         [[str(count), *(f"{curve[name].get(count, np.nan):.3f}" for name in FIDELITIES)] for count in config.labels],
     )
+    alone = next((row["margin_alone"] for item, row in rows if item.group == "curve"), np.nan)
+    curves = f"Area under the classifier's ROC curve (of the margin alone, which needs no rollout: {alone:.3f})"
     relative = {name: merged[name]["time"] / merged["label"]["time"] for name in config.policies}
     failures = {name: _by_length(waypoints, ~merged[name]["tracked"]) for name in names}
     return Report(
-        markdown=f"{markdown}\n![policies](policy_comparison.png)\n\nArea under the ROC curve:\n\n{scores}",
+        markdown=f"{markdown}\n![policies](policy_comparison.png)\n\n{curves}:\n\n{scores}",
         table=table,
         latex=as_latex(header, lines, "Learned policies beside minimum snap"),
         figures={

@@ -20,7 +20,7 @@ from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
 from jaxplan.experiment.tables import as_latex, as_markdown
 from jaxplan.minsnap.problem import minimum_snap
 from jaxplan.numerics import in_float64
-from jaxplan.search.knots import KnotConfig, select_route
+from jaxplan.search.knots import KnotConfig, select_routes
 from jaxplan.search.lattice import build_lattices
 from jaxplan.search.routes import find_routes
 from jaxplan.viz.knots import draw_knot_tuning
@@ -67,10 +67,10 @@ def random_routes(pairs, seed):
 def outcome(routes, distance, turning):
     """Segments and deviations of all routes for one setting."""
     config = KnotConfig(distance_per_knot=distance, turning_per_knot=turning)
-    select = jax.jit(lambda path: select_route(path, config))
+    select = jax.jit(lambda path: select_routes(path[None], config))
     deviations, segments = [], []
     for path in routes:
-        route = jax.tree.map(np.asarray, select(path))
+        route = jax.tree.map(lambda leaf: np.asarray(leaf)[0], select(path))
         waypoints = route.knots.waypoints[: int(route.knots.count)]
         durations = np.maximum(np.linalg.norm(np.diff(waypoints, axis=0), axis=1), 1e-3)
         curve = minimum_snap(waypoints, durations)

@@ -23,7 +23,7 @@ def save_classifier(path: Path, config: FeatureConfig, model: Model, card: dict[
     """Write a model with its ``card``: how it was made and how it scores."""
     header = {
         "features": {"width": config.width, "latent": config.latent},
-        "inducing": len(model.low.inducing),
+        "inducing": len(model.process.inducing),
         "golden": _golden(make_classifier(config, model)).tolist(),
         "card": card,
     }

@@ -1,7 +1,8 @@
-"""P(the vehicle can follow a trajectory): a two-fidelity sparse Gaussian process on a learned feature.
+"""P(the vehicle can follow a trajectory): a sparse Gaussian process on a learned feature and on the low fidelity.
 
-The low fidelity is whether the rotors keep within their limits along the reference, the high one whether a rollout of
-the vehicle with its controller, drag, rotor lag and sensor noise stays within 0.20 m and 15 degrees (MFRL, Sec. III).
+The low fidelity is how far the rotors stay from their limits along the reference, the high one whether a rollout of the
+vehicle with its controller, drag, rotor lag and sensor noise stays within 0.20 m and 15 degrees (MFRL, Sec. III). The
+low one is known exactly wherever the high one is asked, so that it needs no process of its own (decision 0015).
 """
 
 from typing import Any, NamedTuple
@@ -11,11 +12,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxplan.feasibility.features import INSTANTS, MOTION_FEATURES, FeatureConfig, FeatureNetwork, motion_features
+from jaxplan.feasibility.features import (
+    INSTANTS,
+    MOTION_FEATURES,
+    FeatureConfig,
+    FeatureNetwork,
+    low_fidelity,
+    motion_features,
+)
 from jaxplan.feasibility.gaussian_process import (
     Posterior,
     Process,
-    marginals,
+    Related,
     new_process,
     predict,
     prepare,
@@ -24,15 +32,19 @@ from jaxplan.feasibility.gaussian_process import (
     related,
 )
 from jaxplan.minsnap.batch import SplineBatch
+from jaxplan.vehicle.params import Vehicle
 
 
 class Model(NamedTuple):
     """What is trained."""
 
     network: Any
-    low: Process
-    high: Process
-    """On (z, posterior mean of the low fidelity)."""
+    process: Process
+    """On (z, f_low) if its kernel is ``Related``, on z alone otherwise."""
+
+    def inputs(self, config: FeatureConfig, motion: Float[Array, "n p f"]) -> Float[Array, "n d"]:
+        """What the process sees."""
+        return _inputs(config, self.network, self.process, motion)
 
 
 class Prediction(NamedTuple):
@@ -49,50 +61,46 @@ class Classifier(NamedTuple):
 
     config: FeatureConfig
     network: Any
-    low: Posterior
-    high: Posterior
+    posterior: Posterior
 
-    def predict(self, splines: SplineBatch) -> Prediction:
-        """Probabilities for k trajectories (traced; float32)."""
-        return self.judge(motion_features(splines))
+    def predict(self, splines: SplineBatch, vehicle: Vehicle) -> Prediction:
+        """Probabilities for k trajectories of a vehicle (traced; float32)."""
+        return self.judge(motion_features(splines, vehicle))
 
     def judge(self, motion: Float[Array, "k p f"]) -> Prediction:
         """Probabilities from ``motion_features``."""
-        features = FeatureNetwork(self.config).apply(self.network, motion)
-        low, _ = predict(self.low, features)
-        mean, variance = predict(self.high, jnp.concatenate([features, low[:, None]], axis=1))
+        mean, variance = predict(self.posterior, _inputs(self.config, self.network, self.posterior, motion))
         return Prediction(probability(mean, variance), jnp.sqrt(variance))
 
 
-def new_model(config: FeatureConfig, inducing: int, seed: int) -> Model:
-    """Random features, the priors of both processes, and inducing inputs spread where features lie."""
-    keys = jax.random.split(jax.random.key(seed), 3)
-    motion = jnp.zeros((1, INSTANTS, MOTION_FEATURES), jnp.float32)
-    network = FeatureNetwork(config).init(keys[0], motion)
-    width = config.latent
-    low = jax.random.uniform(keys[1], (inducing, width), jnp.float32, -2.0, 2.0)
-    high = jax.random.uniform(keys[2], (inducing, width + 1), jnp.float32, -2.0, 2.0)
-    length = float(np.sqrt(width))
-    kernel = related(width)._replace(own=rbf(width, length), correlation=rbf(width, 2.0 * length))
-    return Model(network, new_process(rbf(width, length), low), new_process(kernel, high))
+def new_model(config: FeatureConfig, inducing: int, seed: int, *, related_to_low: bool = True) -> Model:
+    """Random features, the prior, and inducing inputs spread where features lie.
+
+    Args:
+        related_to_low: whether the process sees the low fidelity.
+    """
+    keys = jax.random.split(jax.random.key(seed), 2)
+    network = FeatureNetwork(config).init(keys[0], jnp.zeros((1, INSTANTS, MOTION_FEATURES), jnp.float32))
+    width, length = config.latent, float(np.sqrt(config.latent))
+    own, correlation = rbf(width, length), rbf(width, 2.0 * length)
+    kernel = related(width)._replace(own=own, correlation=correlation) if related_to_low else own
+    dimensions = width + 1 if related_to_low else width
+    spread = jax.random.uniform(keys[1], (inducing, dimensions), jnp.float32, -2.0, 2.0)
+    return Model(network, new_process(kernel, spread))
 
 
 def make_classifier(config: FeatureConfig, model: Model) -> Classifier:
     """Ready a model for queries."""
-    return Classifier(config, model.network, *_prepared(model.low, model.high))
+    return Classifier(config, model.network, _prepared(model.process))
 
 
-def low_inputs(config: FeatureConfig, model: Model, motion: Float[Array, "n p f"]) -> Float[Array, "n z"]:
-    """What the low fidelity's process sees, for training."""
-    return FeatureNetwork(config).apply(model.network, motion)
+def _inputs(
+    config: FeatureConfig, network: Any, process: Process | Posterior, motion: Float[Array, "n p f"]
+) -> Float[Array, "n d"]:
+    features = FeatureNetwork(config).apply(network, motion)
+    if not isinstance(process.kernel, Related):
+        return features
+    return jnp.concatenate([features, low_fidelity(motion)[:, None]], axis=1)
 
 
-def high_inputs(config: FeatureConfig, model: Model, motion: Float[Array, "n p f"]) -> Float[Array, "n z+1"]:
-    """What the high fidelity's process sees, for training."""
-    features = low_inputs(config, model, motion)
-    return jnp.concatenate([features, marginals(model.low, features)[0][:, None]], axis=1)
-
-
-@jax.jit
-def _prepared(low: Process, high: Process) -> tuple[Posterior, Posterior]:
-    return prepare(low), prepare(high)
+_prepared = jax.jit(prepare)

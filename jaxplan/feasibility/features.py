@@ -2,7 +2,7 @@
 
 A trajectory (waypoints, initial state and times give it) is looked at at instants evenly spread over its duration. What
 is taken there does not change when it is moved or turned about the vertical: thrust, tilt, and how fast thrust, speed
-and heading change.
+and heading change. Beside these stands the low fidelity, how far the rotors are from their limits.
 """
 
 import dataclasses
@@ -15,9 +15,13 @@ from jaxtyping import Array, Float
 from jaxplan.errors import InputError
 from jaxplan.minsnap.batch import SplineBatch
 from jaxplan.numerics import safe_norm
+from jaxplan.vehicle.limits import thrust_limit_margin
+from jaxplan.vehicle.params import Vehicle
 
 INSTANTS = 32
-MOTION_FEATURES = 11
+MOTION_FEATURES = 12
+MARGIN = 11
+"""Which of them is the low fidelity: the network does not see it."""
 GRAVITY = 9.81
 LEAST_THRUST = 0.5
 """Specific thrust [m/s^2] below which its direction counts as changing no faster (arbitrary)."""
@@ -28,7 +32,7 @@ LEAST_THRUST = 0.5
 class FeatureConfig:
     """Sizes of the feature network."""
 
-    width: int = 32
+    width: int = 16
     latent: int = 12
     """Dimensions of the feature z."""
 
@@ -38,9 +42,10 @@ class FeatureConfig:
                 raise InputError(f"features: {name} is {getattr(self, name)}, want 1 to 1024")
 
 
-def motion_features(splines: SplineBatch) -> Float[Array, "k p f"]:
+def motion_features(splines: SplineBatch, vehicle: Vehicle) -> Float[Array, "k p f"]:
     """Features of ``INSTANTS`` instants of each of k trajectories, compressed to the order of 1 (float32)."""
-    states = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), splines.states(INSTANTS))
+    states = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), splines).states(INSTANTS)
+    margins = jax.vmap(jax.vmap(lambda state: thrust_limit_margin(vehicle, state), in_axes=-1, out_axes=-1))(states)
     velocity, acceleration, jerk, snap = (states.derivatives[:, n] for n in range(1, 5))  # (p, 3, k)
     yaw_rate, yaw_acceleration = states.yaw[:, 1], states.yaw[:, 2]
     force = acceleration + jnp.array([0.0, 0.0, GRAVITY], jnp.float32)[:, None]
@@ -53,17 +58,23 @@ def motion_features(splines: SplineBatch) -> Float[Array, "k p f"]:
     features = [
         jnp.log((thrust + 0.1) / GRAVITY),
         up[:, 2],
-        jnp.arcsinh(0.5 * safe_norm(velocity, axis=1)),
-        jnp.arcsinh(0.5 * climb),
-        jnp.arcsinh(0.1 * along),
-        jnp.arcsinh(turning),
-        jnp.arcsinh(0.1 * twisting),
-        jnp.arcsinh(0.02 * along_snap),
-        jnp.arcsinh(yaw_rate),
-        jnp.arcsinh(0.3 * yaw_acceleration),
+        _compressed(0.5 * safe_norm(velocity, axis=1)),
+        _compressed(0.5 * climb),
+        _compressed(0.1 * along),
+        _compressed(turning),
+        _compressed(0.1 * twisting),
+        _compressed(0.02 * along_snap),
+        _compressed(yaw_rate),
+        _compressed(0.3 * yaw_acceleration),
         jnp.log(jnp.maximum(total, 1e-3)) * jnp.ones_like(thrust),
+        _compressed(5.0 * margins),
     ]
     return jnp.moveaxis(jnp.stack(features), (0, 1, 2), (2, 1, 0))
+
+
+def low_fidelity(motion: Float[Array, "k p f"]) -> Float[Array, "k"]:
+    """The least margin to the rotors' limits over each trajectory: negative where one would have to exceed them."""
+    return jnp.min(motion[..., MARGIN], axis=1)
 
 
 class FeatureNetwork(nn.Module):
@@ -73,12 +84,19 @@ class FeatureNetwork(nn.Module):
 
     @nn.compact
     def __call__(self, motion: Float[Array, "k p f"]) -> Float[Array, "k z"]:
+        motion = motion[..., :MARGIN]
         seen = nn.relu(nn.Dense(self.config.width)(_with_neighbours(motion)))
         seen = nn.relu(nn.Dense(self.config.width)(_with_neighbours(seen)))
         whole = jnp.concatenate([jnp.max(seen, axis=1), jnp.mean(seen, axis=1), motion[:, 0, -1:]], axis=1)
         whole = nn.relu(nn.Dense(self.config.width)(whole))
         found = nn.Dense(self.config.latent)(whole)
         return 3.0 * found / (1.0 + jnp.abs(found))
+
+
+def _compressed(x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """x where it is small, of the order of its fourth root where it is large; cheaper than a logarithm."""
+    root = jnp.sqrt(1.0 + jnp.abs(x))
+    return x / (root * jnp.sqrt(root))
 
 
 def _with_neighbours(x: Float[Array, "k p f"]) -> Float[Array, "k p 3f"]:

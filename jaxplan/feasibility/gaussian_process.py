@@ -1,4 +1,4 @@
-"""Sparse variational Gaussian processes with a Bernoulli likelihood, and a second one that learns from a first.
+"""Sparse variational Gaussian processes with a Bernoulli likelihood, and a kernel that learns from a low fidelity.
 
 A process f is known through its values at m inducing inputs Z, whitened: f(Z) = L v with L L^T = k(Z, Z), and
 q(v) = N(mean, root root^T). Then (Hensman, Matthews & Ghahramani, AISTATS 2015), with a = L^-1 k(Z, x),
@@ -7,8 +7,8 @@ q(v) = N(mean, root root^T). Then (Hensman, Matthews & Ghahramani, AISTATS 2015)
 
 and the evidence lower bound is sum_i E log Phi(y_i f(x_i)) - KL(q(v) || N(0, I)).
 
-The high fidelity's kernel relates it to the low one's posterior mean f_low(z) (Perdikaris et al., Proc. R. Soc. A 473,
-2017; Li et al., MFRL): k_own(z, z') + k_corr(z, z') (k_f(f_low, f_low') + f_low f_low').
+The kernel relates the high fidelity to the value f_low of the low one (Perdikaris et al., Proc. R. Soc. A 473, 2017;
+Li et al., MFRL): k_own(z, z') + k_corr(z, z') (k_f(f_low, f_low') + f_low f_low').
 """
 
 from typing import NamedTuple

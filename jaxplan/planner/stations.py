@@ -18,7 +18,7 @@ from jaxplan.minsnap.batch import SplineBatch, fit
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.policy.protocol import Policy
 from jaxplan.prediction.candidates import Candidates, reject_early
-from jaxplan.search.knots import MAX_WAYPOINTS, select_route
+from jaxplan.search.knots import MAX_WAYPOINTS, select_routes
 from jaxplan.selection import Margins, check_clearance, check_flight
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason, bit
@@ -65,7 +65,7 @@ def compile_stations(
 
     @jax.jit
     def route(paths: Float[Array, "k l 3"], shares: Float[Array, "k"]) -> Routes:
-        routes = jax.vmap(lambda path, share: select_route(path, config.knots, share))(paths, shares)
+        routes = select_routes(paths, config.knots, shares)
         return Routes(
             waypoints=jnp.moveaxis(routes.knots.waypoints, 0, -1),
             count=routes.knots.count,
@@ -86,7 +86,7 @@ def compile_stations(
     @jax.jit
     def trace(state: FlatState, routes: Routes, durations: Float[Array, "m k"]) -> tuple[SplineBatch, Margins]:
         splines = fit(state, routes.waypoints, durations, config.max_yaw_rate)
-        probability = None if classifier is None else classifier.predict(splines).probability
+        probability = None if classifier is None else classifier.predict(splines, vehicle).probability
         return splines, check_flight(splines, routes.samples, vehicle, config.checks, probability)
 
     @jax.jit

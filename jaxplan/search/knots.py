@@ -9,6 +9,7 @@ at least 2 and at most ``MAX_WAYPOINTS``, start and goal included. A path that w
 import dataclasses
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -46,22 +47,26 @@ class Knots(NamedTuple):
     """Waypoints in use, 2 to 14."""
 
 
-class Route(NamedTuple):
-    """A path, or as much of it as the waypoints can carry."""
+class KnottedPaths(NamedTuple):
+    """k paths, or as much of each as the waypoints can carry."""
 
     knots: Knots
-    samples: Float[Array, "s 3"]
-    """The same part of the path at uniform arc length."""
-    whole: Bool[Array, ""]
+    """With a leading axis k."""
+    samples: Float[Array, "k s 3"]
+    """The same parts of the paths at uniform arc length."""
+    whole: Bool[Array, "k"]
     """False where only a beginning of the path is left."""
 
 
-def select_route(path: Float[Array, "l 3"], config: KnotConfig, share: Float[Array, ""] | float = 1.0) -> Route:
-    """Waypoints and samples of the first ``share`` of one searched path [m] whose unused points repeat its last one."""
-    wanted = wanted_knots(resample(path, config.samples), config)
-    share = jnp.minimum(MAX_WAYPOINTS / wanted, share)
-    samples = resample(path, config.samples, share)
-    return Route(select_knots(samples, config), samples, share >= 1.0)
+def select_routes(
+    paths: Float[Array, "k l 3"], config: KnotConfig, shares: Float[Array, "k"] | float = 1.0
+) -> KnottedPaths:
+    """Waypoints and samples of the first ``shares`` of searched paths [m] whose unused points repeat their last one."""
+    sample = jax.vmap(lambda path, share: resample(path, config.samples, share))
+    whole = sample(paths, jnp.ones(len(paths), paths.dtype))
+    shares = jnp.minimum(MAX_WAYPOINTS / jax.vmap(lambda path: wanted_knots(path, config))(whole), shares)
+    samples = jax.lax.cond(jnp.any(shares < 1.0), lambda: sample(paths, shares), lambda: whole)
+    return KnottedPaths(jax.vmap(lambda path: select_knots(path, config))(samples), samples, shares >= 1.0)
 
 
 def select_knots(path: Float[Array, "l 3"], config: KnotConfig) -> Knots:

@@ -1,4 +1,4 @@
-"""Labels of both fidelities for a policy's flights, spent where the classifier is least sure.
+"""Rollout labels for a policy's flights, spent where the classifier is least sure.
 
 The variation ratio 1 - max(P, 1 - P) is largest where P is 1/2 (MFRL, Sec. III). Labels are kept and replayed; both
 classes stay common because flights are tried from too fast to comfortably slow.
@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxplan.errors import FileError
-from jaxplan.feasibility.classifier import Classifier, Model, high_inputs
+from jaxplan.feasibility.classifier import Classifier, Model
 from jaxplan.feasibility.features import FeatureConfig, motion_features
 from jaxplan.feasibility.gaussian_process import marginals
 from jaxplan.minsnap.batch import SplineBatch
@@ -25,7 +25,6 @@ from jaxplan.training.classifier import Labelled
 from jaxplan.training.dataset import build_flights
 from jaxplan.training.labels import LabelConfig, Queries
 from jaxplan.training.sequences import take
-from jaxplan.vehicle.limits import least_rotor_margin
 from jaxplan.vehicle.params import Vehicle
 
 LANES = 512
@@ -37,8 +36,6 @@ class Flights(NamedTuple):
 
     splines: SplineBatch
     motion: Float[np.ndarray, "n p f"]
-    within_limits: Bool[np.ndarray, "n"]
-    """The low fidelity's label, which costs next to nothing."""
 
 
 Solve = Callable[[Queries, Float[np.ndarray, "m n"]], Flights]
@@ -47,19 +44,16 @@ Solve = Callable[[Queries, Float[np.ndarray, "m n"]], Flights]
 def build_solve(vehicle: Vehicle, labels: LabelConfig) -> Solve:
     """Flights of given durations, ``LANES`` at a time."""
     fly = build_flights(labels)
-    look = in_float64(
-        jax.jit(lambda s: (motion_features(s), least_rotor_margin(vehicle, s.states(labels.instants)) >= 0.0))
-    )
+    look = in_float64(jax.jit(motion_features))
 
     def solve(queries: Queries, durations: Float[np.ndarray, "m n"]) -> Flights:
         size, parts = durations.shape[-1], []
         for begin in range(0, size, LANES):
             lanes = np.minimum(np.arange(begin, begin + LANES), size - 1)
             splines = fly(take(queries, lanes), durations[:, lanes])
-            motion, within = (np.asarray(leaf) for leaf in look(splines))
-            parts.append((splines, np.moveaxis(motion, 0, -1), within))
+            parts.append((splines, np.moveaxis(np.asarray(look(splines, vehicle)), 0, -1)))
         joined = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1)[..., :size], *parts)
-        return Flights(joined[0], np.moveaxis(joined[1], -1, 0), joined[2])
+        return Flights(joined[0], np.moveaxis(joined[1], -1, 0))
 
     return solve
 
@@ -73,7 +67,7 @@ def perturbed(
 
 
 def roll_out(flights: Flights, lanes: Int[np.ndarray, "n"], vehicle: Vehicle, seed: int) -> Bool[np.ndarray, "n"]:
-    """The high fidelity's labels of some of the flights."""
+    """Whether a rollout tracks some of the flights."""
     some = jax.tree.map(lambda leaf: np.asarray(leaf)[..., lanes], flights.splines)
     indices = seed * 1_000_000 + np.arange(len(lanes))
     return np.asarray(track(some, vehicle=vehicle, indices=indices % 2**31).feasible)
@@ -99,28 +93,27 @@ _judge = jax.jit(lambda classifier, motion: classifier.judge(motion).probability
 def latents(
     config: FeatureConfig, model: Model, motion: Float[np.ndarray, "n p f"]
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Mean and variance of the high fidelity's latent function for many flights (host)."""
-    find = jax.jit(lambda some: marginals(model.high, high_inputs(config, model, some)))
+    """Mean and variance of the latent function for many flights (host)."""
+    find = jax.jit(lambda some: marginals(model.process, model.inputs(config, some)))
     parts = [find(jnp.asarray(part)) for part in np.array_split(motion, -(-len(motion) // LANES))]
     return tuple(np.concatenate(leaves) for leaves in zip(*parts, strict=True))  # type: ignore[return-value]
 
 
-def save_labels(path: Path, low: Labelled, high: Labelled) -> None:
+def save_labels(path: Path, labelled: Labelled) -> None:
     """One round's labels."""
     temporary = path.with_suffix(".part")
     with temporary.open("wb") as file:
-        np.savez(file, low_motion=low.motion, low=low.feasible, high_motion=high.motion, high=high.feasible)
+        np.savez(file, motion=labelled.motion, feasible=labelled.feasible)
     temporary.replace(path)
 
 
-def load_labels(paths: list[Path]) -> tuple[Labelled, Labelled]:
-    """All rounds' labels of both fidelities."""
+def load_labels(paths: list[Path]) -> Labelled:
+    """All rounds' labels."""
     rounds = []
     for path in paths:
         try:
             with np.load(path, allow_pickle=False) as data:
-                rounds.append({name: data[name] for name in ("low_motion", "low", "high_motion", "high")})
+                rounds.append(Labelled(data["motion"], data["feasible"]))
         except (OSError, KeyError, ValueError) as error:
             raise FileError(f"{path}: is not a round of labels ({error}); remove it to make it again") from error
-    joined = {name: np.concatenate([part[name] for part in rounds]) for name in rounds[0]}
-    return Labelled(joined["low_motion"], joined["low"]), Labelled(joined["high_motion"], joined["high"])
+    return Labelled(*(np.concatenate(column) for column in zip(*rounds, strict=True)))

@@ -1,4 +1,4 @@
-"""Training of the feasibility classifier: the feature network and both processes together, by their lower bounds."""
+"""Training of the feasibility classifier: feature network and process together, by the evidence's lower bound."""
 
 import dataclasses
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 from scipy.special import ndtr
 
 from jaxplan.errors import InputError
-from jaxplan.feasibility.classifier import Model, high_inputs, low_inputs, new_model
+from jaxplan.feasibility.classifier import Model, new_model
 from jaxplan.feasibility.features import FeatureConfig
 from jaxplan.feasibility.gaussian_process import Related, lower_bound
 
@@ -26,11 +26,10 @@ class ClassifierConfig:
     inducing: int = 128
     steps: int = 3000
     batch: int = 256
-    """Of each fidelity."""
     learning_rate: float = 3e-3
     """At its highest; warmed up and annealed by a cosine."""
-    low_weight: float = 1.0
-    """Weight of the low fidelity's bound; 0 trains on rollouts alone."""
+    related_to_low: bool = True
+    """Whether the low fidelity is seen; without it there are the rollouts alone."""
     weight_decay: float = 1e-3
     """Of the feature network."""
     seed: int = 0
@@ -39,12 +38,12 @@ class ClassifierConfig:
         for name in ("inducing", "steps", "batch"):
             if getattr(self, name) < 1:
                 raise InputError(f"classifier: {name} is {getattr(self, name)}, want 1 or more")
-        if not self.learning_rate > 0.0 or not self.low_weight >= 0.0:
-            raise InputError("classifier: want a positive learning_rate and a low_weight of 0 or more")
+        if not self.learning_rate > 0.0:
+            raise InputError(f"classifier: learning_rate is {self.learning_rate}, want a positive number")
 
 
 class Labelled(NamedTuple):
-    """Trajectories (by their ``motion_features``) with labels of one fidelity."""
+    """Trajectories, by their ``motion_features``, that a rollout has tracked or not."""
 
     motion: Float[Array, "n p f"]
     feasible: Bool[Array, "n"]
@@ -55,21 +54,19 @@ class _State(NamedTuple):
     optimiser: Any
 
 
-def train_classifier(
-    config: ClassifierConfig, low: Labelled, high: Labelled, start: Model | None = None
-) -> tuple[Model, float]:
-    """Fit to labels of both fidelities, from ``start`` or anew; also the mean loss of the last tenth (host)."""
-    if not len(low.feasible) or not len(high.feasible):
-        raise InputError("classifier: want labels of both fidelities, have none of one")
-    optimiser = _optimiser(config)
-    model = new_model(config.features, config.inducing, config.seed) if start is None else start
+def train_classifier(config: ClassifierConfig, labelled: Labelled, start: Model | None = None) -> tuple[Model, float]:
+    """Fit to labels, from ``start`` or anew; also the mean loss of the last tenth (host)."""
+    if not len(labelled.feasible):
+        raise InputError("classifier: want labels, have none")
+    optimiser, model = _optimiser(config), start
+    if model is None:
+        model = new_model(config.features, config.inducing, config.seed, related_to_low=config.related_to_low)
     state = _State(model, optimiser.init(model))
     advance = _build_advance(config)
     losses = []
     for step in range(config.steps):
         rng = np.random.default_rng([config.seed, step])
-        drawn = _draw(low, config.batch, rng), _draw(high, config.batch, rng)
-        state, loss = advance(state, *drawn, len(low.feasible), len(high.feasible))
+        state, loss = advance(state, _draw(labelled, config.batch, rng), len(labelled.feasible))
         losses.append(loss)
     return state.model, float(np.mean(losses[-max(config.steps // 10, 1) :]))
 
@@ -78,7 +75,7 @@ def calibrate(model: Model, mean: Float[Array, "n"], variance: Float[Array, "n"]
     """The model with its latent f replaced by a f + b, most likely for rollouts that it has not learnt from (host).
 
     Args:
-        mean: posterior of the high fidelity's f at those rollouts, as is ``variance``.
+        mean: posterior of f at those rollouts, as is ``variance``.
     """
     positive = np.asarray(feasible)
 
@@ -88,24 +85,19 @@ def calibrate(model: Model, mean: Float[Array, "n"], variance: Float[Array, "n"]
         return -float(np.mean(np.log(np.maximum(np.where(positive, chance, 1.0 - chance), 1e-12))))
 
     log_scale, shift = minimize(loss, np.zeros(2), method="Nelder-Mead").x
-    kernel = model.high.kernel
+    kernel = model.process.kernel
     assert isinstance(kernel, Related)
     own = kernel.own._replace(log_scale=kernel.own.log_scale + log_scale)
     correlation = kernel.correlation._replace(log_scale=kernel.correlation.log_scale + log_scale)
-    offset = jnp.float32(np.exp(log_scale) * model.high.offset + shift)
-    return model._replace(high=model.high._replace(kernel=Related(own, correlation, kernel.low), offset=offset))
+    offset = jnp.float32(np.exp(log_scale) * model.process.offset + shift)
+    return model._replace(process=model.process._replace(kernel=Related(own, correlation, kernel.low), offset=offset))
 
 
 def _build_advance(config: ClassifierConfig) -> Callable[..., tuple[_State, Array]]:
     optimiser = _optimiser(config)
 
-    def loss(model: Model, low: Labelled, high: Labelled, low_size: Array, high_size: Array) -> Array:
-        inputs = high_inputs(config.features, model, high.motion)
-        bound = lower_bound(model.high, inputs, high.feasible, high_size)
-        if config.low_weight > 0.0:
-            inputs = low_inputs(config.features, model, low.motion)
-            bound += config.low_weight * lower_bound(model.low, inputs, low.feasible, low_size)
-        return -bound
+    def loss(model: Model, drawn: Labelled, size: Array) -> Array:
+        return -lower_bound(model.process, model.inputs(config.features, drawn.motion), drawn.feasible, size)
 
     @jax.jit
     def advance(state: _State, *data: Any) -> tuple[_State, Array]:

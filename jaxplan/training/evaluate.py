@@ -138,7 +138,7 @@ def score_classifier(
     vehicle, rng = load_vehicle(made.vehicle), np.random.default_rng(seed)
     tried = perturbed(policy_durations(policy, held.queries), (0.8, 1.15), 0.05, rng)
     splines = build_flights(made.labels)(held.queries, tried)
-    motion = np.asarray(in_float64(jax.jit(motion_features))(splines))
+    motion = np.asarray(in_float64(jax.jit(motion_features))(splines, vehicle))
     feasible = np.asarray(track(splines, vehicle=vehicle, indices=10**6 + np.arange(len(motion))).feasible)
     scores = binary_scores(judged(classifier, motion), feasible)
     return {"flights": len(motion), "tracked": float(feasible.mean()), **scores}

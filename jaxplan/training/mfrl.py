@@ -95,7 +95,7 @@ def reinforce(
         parameters: the pretrained weights.
     """
     run = _resume(folder, config, parameters)
-    climb = in_float64(build_climb(network, parameters, config.reinforce))
+    climb = in_float64(build_climb(network, parameters, vehicle, config.reinforce))
     durations = in_float64(jax.jit(lambda weights, some: jnp.exp(log_durations(PolicyNetwork(network), weights, some))))
     airfield = _Airfield(config, examples, vehicle, active.build_solve(vehicle, labels), durations)
     for index in range(run.done, config.rounds):
@@ -153,8 +153,7 @@ def _label(folder: Path, index: int, run: Run, airfield: _Airfield) -> dict[str,
     chosen = np.arange(0) if first else len(unbiased) + active.least_certain(believed[len(unbiased) :], config.chosen)
     lanes = np.concatenate([unbiased, chosen])
     feasible = active.roll_out(flights, lanes, airfield.vehicle, seed=config.seed + index)
-    low = Labelled(flights.motion, flights.within_limits)
-    active.save_labels(_labels_of(folder, index), low, Labelled(flights.motion[lanes], feasible))
+    active.save_labels(_labels_of(folder, index), Labelled(flights.motion[lanes], feasible))
     scores = binary_scores(believed[unbiased], feasible[: len(unbiased)])
     return {"tracked_at_random": float(feasible[: len(unbiased)].mean()), "rollouts": len(lanes), **scores}
 
@@ -169,12 +168,12 @@ def _calibrated(run: Run, airfield: _Airfield) -> Model:
 
 def _teach(folder: Path, index: int, run: Run, config: MfrlConfig) -> Run:
     """Train the classifier on all labels so far."""
-    low, high = active.load_labels([_labels_of(folder, k) for k in range(index + 1)])
+    labelled = active.load_labels([_labels_of(folder, k) for k in range(index + 1)])
     settings = dataclasses.replace(config.classifier, seed=config.seed + index)
     if index == 0:
         rate = 3.0 * config.classifier.learning_rate
         settings = dataclasses.replace(settings, steps=config.first_steps, learning_rate=rate)
-    model, _ = train_classifier(settings, low, high, None if index == 0 else run.model)
+    model, _ = train_classifier(settings, labelled, None if index == 0 else run.model)
     return run._replace(model=model)
 
 

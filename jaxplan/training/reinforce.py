@@ -19,10 +19,11 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxplan.errors import InputError
 from jaxplan.feasibility.classifier import Classifier
-from jaxplan.minsnap.batch import fit_each
+from jaxplan.minsnap.batch import SplineBatch, fit_each
 from jaxplan.policy.network import NetworkConfig, PolicyNetwork
 from jaxplan.policy.neural import allocate_times, read_sequences
 from jaxplan.training.examples import Examples
+from jaxplan.vehicle.params import Vehicle
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,6 +77,8 @@ class Return(NamedTuple):
     relative_time: Float[Array, ""]
 
 
+Judge = Callable[[SplineBatch], Float[Array, "b"]]
+"""Probabilities that flights are feasible."""
 Climb = Callable[[Learner, Classifier, Examples, PRNGKeyArray], tuple[Learner, Return]]
 
 
@@ -85,7 +88,7 @@ def start_learning(parameters: Any, config: ReinforceConfig) -> Learner:
     return Learner(parameters, deviation, _optimiser(config).init((parameters, deviation)))
 
 
-def build_climb(network: NetworkConfig, anchor: Any, config: ReinforceConfig) -> Climb:
+def build_climb(network: NetworkConfig, anchor: Any, vehicle: Vehicle, config: ReinforceConfig) -> Climb:
     """One compiled step: batches are tried, judged and learnt from.
 
     Args:
@@ -103,10 +106,11 @@ def build_climb(network: NetworkConfig, anchor: Any, config: ReinforceConfig) ->
     @jax.jit
     def climb(learner: Learner, classifier: Classifier, batch: Examples, key: PRNGKeyArray) -> tuple[Learner, Return]:
         known = log_durations(decoder, anchor, batch)
+        judge = lambda splines: classifier.predict(splines, vehicle).probability  # noqa: E731
         if config.method == "gradient":
-            direct = lambda trained: _gradient_loss(trained[0], known, decoder, classifier, batch, config)  # noqa: E731
+            direct = lambda trained: _gradient_loss(trained[0], known, decoder, judge, batch, config)  # noqa: E731
             return update(learner, direct)
-        tries = _try(learner, decoder, classifier, batch, key, config)
+        tries = _try(learner, decoder, judge, batch, key, config)
         for _ in range(config.passes):
             learner, found = update(learner, lambda trained: _ppo_loss(trained, tries, known, decoder, batch, config))
         return learner, found
@@ -122,12 +126,12 @@ def log_durations(network: PolicyNetwork, parameters: Any, batch: Examples) -> F
 
 
 def rewards(
-    classifier: Classifier, batch: Examples, logs: Float[Array, "m b"], config: ReinforceConfig
+    judge: Judge, batch: Examples, logs: Float[Array, "m b"], config: ReinforceConfig
 ) -> tuple[Float[Array, "b"], Float[Array, "b"], Float[Array, "b"]]:
     """Reward, probability to be feasible, and T / T_MS of each flight."""
     durations = jnp.where(batch.durations > 0.0, jnp.exp(logs.astype(batch.waypoints.dtype)), 0.0)
     splines = fit_each(batch.initial, batch.waypoints, durations, config.max_yaw_rate)
-    feasible = classifier.predict(splines).probability
+    feasible = judge(splines)
     relative = jnp.sum(durations, axis=0) / jnp.sum(batch.durations, axis=0)
     return (config.bonus + jnp.minimum(1.0 - relative, config.ceiling)) * feasible, feasible, relative
 
@@ -145,12 +149,12 @@ def _gradient_loss(
     parameters: Any,
     known: Float[Array, "m b"],
     network: PolicyNetwork,
-    classifier: Classifier,
+    judge: Judge,
     batch: Examples,
     config: ReinforceConfig,
 ) -> tuple[Float[Array, ""], Return]:
     logs = log_durations(network, parameters, batch)
-    reward, feasible, relative = rewards(classifier, batch, logs, config)
+    reward, feasible, relative = rewards(judge, batch, logs, config)
     loss = -jnp.mean(reward) + config.anchor * _divergence(logs, known, config.deviation)
     return loss, Return(jnp.mean(reward), jnp.mean(feasible), jnp.mean(relative))
 
@@ -158,7 +162,7 @@ def _gradient_loss(
 def _try(
     learner: Learner,
     network: PolicyNetwork,
-    classifier: Classifier,
+    judge: Judge,
     batch: Examples,
     key: PRNGKeyArray,
     config: ReinforceConfig,
@@ -166,7 +170,7 @@ def _try(
     mean = log_durations(network, learner.parameters, batch)
     noise = jax.random.normal(key, (config.tries, *mean.shape), mean.dtype)
     logs = mean + jnp.exp(learner.log_deviation) * noise * (batch.durations > 0.0)
-    reward, feasible, relative = jax.lax.map(lambda one: rewards(classifier, batch, one, config), logs)
+    reward, feasible, relative = jax.lax.map(lambda one: rewards(judge, batch, one, config), logs)
     advantage = reward - jnp.mean(reward, axis=0)
     advantage = advantage / (jnp.std(advantage) + 1e-6)
     likelihood = _log_likelihood(logs, mean, learner.log_deviation, batch)

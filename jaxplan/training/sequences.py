@@ -5,7 +5,6 @@ flight along such a route is cut at a random time, and routes lead from there to
 another one, as in a replan. Free sequences, without a room, fill in what rooms rarely ask for.
 """
 
-import functools
 import math
 from typing import NamedTuple
 
@@ -15,7 +14,7 @@ from jaxtyping import Float, Int
 
 from jaxplan.minsnap.batch import SplineBatch
 from jaxplan.numerics import in_float64
-from jaxplan.search.knots import MAX_WAYPOINTS, KnotConfig, select_route
+from jaxplan.search.knots import MAX_WAYPOINTS, KnotConfig, select_routes
 from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes
 from jaxplan.spline import FlatState
@@ -165,7 +164,7 @@ def _knots(paths: Float[np.ndarray, "k l 3"], share: float) -> tuple:
 
 @jax.jit
 def _select_all(paths: Float[np.ndarray, "k l 3"], shares: Float[np.ndarray, "k"]) -> tuple:
-    routes = jax.vmap(functools.partial(select_route, config=KnotConfig()))(paths, share=shares)
+    routes = select_routes(paths, KnotConfig(), shares)
     return routes.knots.waypoints, routes.knots.count
 
 

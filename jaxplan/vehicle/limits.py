@@ -35,6 +35,17 @@ def rotor_limit_margin(vehicle: Vehicle, state: FlatState) -> Float[Array, ""]:
     return jnp.where(finite, margin, -jnp.inf)
 
 
+def thrust_limit_margin(vehicle: Vehicle, state: FlatState) -> Float[Array, ""]:
+    """Distance of the worst rotor's thrust from its nearest limit, as a share of the range between its limits.
+
+    Of the same sign as ``rotor_limit_margin``, and smooth where a rotor stands still; NaN for a state not finite.
+    """
+    vehicle = vehicle.astype(state.derivatives.dtype)
+    speeds = differential_flatness(vehicle, state).rotor_speeds
+    least, most, squared = vehicle.rotor_speed_min**2, vehicle.rotor_speed_max**2, speeds * jnp.abs(speeds)
+    return jnp.min(jnp.minimum(squared - least, most - squared)) / (most - least)
+
+
 def least_rotor_margin(vehicle: Vehicle, states: FlatState) -> Float[Array, "k"]:
     """The least ``rotor_limit_margin`` [rad/s] of k flights over their s sampled states, (s, 5, 3, k) and (s, 3, k)."""
     one = jax.vmap(lambda state: rotor_limit_margin(vehicle, state), in_axes=-1, out_axes=-1)

@@ -1,4 +1,6 @@
-"""The feasibility classifier: its Gaussian processes against exact ones, its features' symmetries, its file."""
+"""The feasibility classifier: its Gaussian process against exact ones, its features' symmetries, its file."""
+
+import dataclasses
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +11,15 @@ from scipy.stats import norm
 from jaxplan.errors import FileError, InputError
 from jaxplan.feasibility.checkpoint import classifier_card, load_classifier, save_classifier
 from jaxplan.feasibility.classifier import make_classifier, new_model
-from jaxplan.feasibility.features import INSTANTS, MOTION_FEATURES, FeatureConfig, motion_features
+from jaxplan.feasibility.features import (
+    INSTANTS,
+    MARGIN,
+    MOTION_FEATURES,
+    FeatureConfig,
+    FeatureNetwork,
+    low_fidelity,
+    motion_features,
+)
 from jaxplan.feasibility.gaussian_process import (
     Rbf,
     divergence,
@@ -28,6 +38,8 @@ from jaxplan.spline import FlatState
 from jaxplan.training.active import latents
 from jaxplan.training.classifier import ClassifierConfig, Labelled, calibrate, train_classifier
 from jaxplan.training.scores import area_under_curve, binary_scores
+from jaxplan.vehicle.limits import least_rotor_margin, thrust_limit_margin
+from jaxplan.vehicle.params import load_vehicle
 
 SMALL = FeatureConfig(width=8, latent=3)
 
@@ -131,10 +143,14 @@ def random_flights(seed=0, lanes=6):
     return points, derivatives, rng.normal(size=(3, lanes)) * 0.3, rng.uniform(0.4, 1.5, (3, lanes))
 
 
-def features_of(points, derivatives, yaw, durations):
+def flights_of(points, derivatives, yaw, durations):
+    state = FlatState(derivatives=jnp.asarray(derivatives), yaw=jnp.asarray(yaw))
+    return fit_each(state, jnp.asarray(points), jnp.asarray(durations), 1.5)
+
+
+def features_of(*flight):
     with jax.enable_x64(True):
-        state = FlatState(derivatives=jnp.asarray(derivatives), yaw=jnp.asarray(yaw))
-        return np.asarray(motion_features(fit_each(state, jnp.asarray(points), jnp.asarray(durations), 1.5)))
+        return np.asarray(motion_features(flights_of(*flight), load_vehicle()))
 
 
 def test_features_do_not_change_when_a_flight_is_moved_or_turned():
@@ -148,32 +164,53 @@ def test_features_do_not_change_when_a_flight_is_moved_or_turned():
     rotated[0] = moved[0]
     there = features_of(moved, rotated, turned, durations)
     assert here.shape == (6, INSTANTS, MOTION_FEATURES)
-    np.testing.assert_allclose(here, there, atol=1e-4)
+    np.testing.assert_allclose(here, there, atol=2e-3)
     assert np.abs(here - features_of(points, derivatives, yaw, 0.8 * durations)).max() > 0.1
 
 
+def test_the_low_fidelity_is_the_least_margin_and_the_network_does_not_see_it():
+    flight = random_flights(lanes=40)
+    vehicle, motion = load_vehicle(), features_of(*flight)
+    with jax.enable_x64(True):
+        states = flights_of(*flight).states(INSTANTS)
+        shares = jax.vmap(jax.vmap(lambda s: thrust_limit_margin(vehicle, s), in_axes=-1, out_axes=-1))(states)
+        speeds = np.asarray(least_rotor_margin(vehicle, states))
+    low = np.asarray(low_fidelity(jnp.asarray(motion)))
+    least = 5.0 * np.asarray(shares).min(axis=0)
+    np.testing.assert_allclose(low, least / (1.0 + np.abs(least)) ** 0.75, rtol=1e-3, atol=1e-3)
+    assert 0 < (speeds >= 0.0).sum() < 40
+    np.testing.assert_array_equal(low >= 0.0, speeds >= 0.0)
+    network = FeatureNetwork(SMALL)
+    weights, other = network.init(jax.random.key(0), jnp.asarray(motion)), motion.copy()
+    other[..., MARGIN] = 7.0
+    np.testing.assert_array_equal(network.apply(weights, motion), network.apply(weights, other))
+
+
 def learnable(count, seed):
-    """Motions whose high label is the low one's with noise: the first feature's maximum decides."""
+    """Motions whose label is the least margin with noise, which the other features do not tell."""
     rng = np.random.default_rng(seed)
     motion = rng.normal(size=(count, INSTANTS, MOTION_FEATURES)).astype(np.float32)
-    motion += 1.5 * rng.normal(size=(count, 1, MOTION_FEATURES)).astype(np.float32)
-    top = motion[..., 0].max(axis=1)
-    return motion, top > 2.0, top + 0.2 * rng.normal(size=count) > 2.2
+    motion[..., MARGIN] += 1.5 * rng.normal(size=(count, 1)).astype(np.float32)
+    least = motion[..., MARGIN].min(axis=1)
+    return Labelled(motion, least + 0.2 * rng.normal(size=count) > np.median(least))
 
 
-def test_a_classifier_learns_and_is_the_same_from_its_file(tmp_path):
-    motion, low, high = learnable(3000, 0)
+def test_a_classifier_learns_from_the_low_fidelity_and_is_the_same_from_its_file(tmp_path):
+    seen, unseen = learnable(2000, 0), learnable(1000, 1)
     config = ClassifierConfig(features=SMALL, inducing=16, steps=400, batch=128, learning_rate=1e-2)
-    model, loss = train_classifier(config, Labelled(motion[:2000], low[:2000]), Labelled(motion[:500], high[:500]))
+    model, loss = train_classifier(config, seen)
     assert np.isfinite(loss)
-    found = make_classifier(SMALL, model).judge(jnp.asarray(motion[2000:]))
-    scores = binary_scores(np.asarray(found.probability, float), high[2000:])
+    found = make_classifier(SMALL, model).judge(jnp.asarray(unseen.motion))
+    scores = binary_scores(np.asarray(found.probability, float), unseen.feasible)
     assert scores["auc"] > 0.9
     assert scores["brier"] < 0.15
     assert (np.asarray(found.deviation) > 0.0).all()
+    blind, _ = train_classifier(dataclasses.replace(config, related_to_low=False), seen)
+    guessed = make_classifier(SMALL, blind).judge(jnp.asarray(unseen.motion)).probability
+    assert area_under_curve(np.asarray(guessed, float), unseen.feasible) < 0.6
     path = tmp_path / "mine.npz"
     save_classifier(path, SMALL, model, {"command": "none"})
-    again = load_classifier(path).judge(jnp.asarray(motion[2000:]))
+    again = load_classifier(path).judge(jnp.asarray(unseen.motion))
     np.testing.assert_array_equal(found.probability, again.probability)
     assert classifier_card(path)["command"] == "none"
     content = bytearray(path.read_bytes())
@@ -190,9 +227,9 @@ def test_calibration_undoes_a_wrong_scale_and_offset():
     feasible = rng.random(4000) < norm.cdf(honest)
     model = random_model()
     found = calibrate(model, 3.0 * honest + 1.0, np.zeros(4000), feasible)
-    assert float(found.high.kernel.own.log_scale) == pytest.approx(-np.log(3.0), abs=0.1)
-    assert float(found.high.offset) == pytest.approx(-1.0 / 3.0, abs=0.1)
-    motion = jnp.asarray(learnable(50, 1)[0])
+    assert float(found.process.kernel.own.log_scale) == pytest.approx(-np.log(3.0), abs=0.1)
+    assert float(found.process.offset) == pytest.approx(-1.0 / 3.0, abs=0.1)
+    motion = jnp.asarray(learnable(50, 1).motion)
     for before, after in zip(latents(SMALL, model, motion), latents(SMALL, found, motion), strict=True):
         assert np.corrcoef(before, after)[0, 1] > 0.99
 
@@ -203,7 +240,8 @@ def test_gradients_reach_the_durations():
 
     def total(durations):
         state = FlatState(derivatives=jnp.asarray(derivatives), yaw=jnp.asarray(yaw))
-        return jnp.sum(classifier.predict(fit_each(state, jnp.asarray(points), durations, 1.5)).probability)
+        flights = fit_each(state, jnp.asarray(points), durations, 1.5)
+        return jnp.sum(classifier.predict(flights, load_vehicle()).probability)
 
     with jax.enable_x64(True):
         slope = np.asarray(jax.jit(jax.grad(total))(jnp.asarray(durations)))
@@ -214,7 +252,7 @@ def test_gradients_reach_the_durations():
 def random_model():
     model = new_model(SMALL, 8, 0)
     weights = jnp.asarray(np.random.default_rng(0).normal(size=8), jnp.float32)
-    return model._replace(low=model.low._replace(mean=weights), high=model.high._replace(mean=weights))
+    return model._replace(process=model.process._replace(mean=weights))
 
 
 def test_wrong_settings_are_refused():
@@ -223,8 +261,8 @@ def test_wrong_settings_are_refused():
     with pytest.raises(InputError, match="width"):
         FeatureConfig(width=0)
     nothing = Labelled(np.zeros((0, INSTANTS, MOTION_FEATURES), np.float32), np.zeros(0, bool))
-    with pytest.raises(InputError, match="labels of both fidelities"):
-        train_classifier(ClassifierConfig(steps=1), nothing, nothing)
+    with pytest.raises(InputError, match="want labels"):
+        train_classifier(ClassifierConfig(steps=1), nothing)
 
 
 def test_scores_against_their_definitions():

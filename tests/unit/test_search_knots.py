@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxplan.errors import InputError
-from jaxplan.search.knots import MAX_WAYPOINTS, KnotConfig, resample, select_knots
+from jaxplan.search.knots import MAX_WAYPOINTS, KnotConfig, resample, select_knots, select_routes
 
 CONFIG = KnotConfig(distance_per_knot=2.0, turning_per_knot=1.0)
 
@@ -83,6 +83,26 @@ def test_resampling_is_uniform_in_arc_length():
     with jax.enable_x64(True):
         points = np.asarray(resample(path, 9))
     np.testing.assert_allclose(np.linalg.norm(np.diff(points, axis=0), axis=1), 0.5, atol=1e-12)
+
+
+@pytest.mark.parametrize("longest", [3, 30])
+def test_many_paths_are_as_each_alone_and_long_ones_are_cut(longest):
+    """Alone, a path of 2 m a knot and no turning wants half its length in waypoints; 14 carry 28 m of it."""
+    config, lengths = KnotConfig(turning_per_knot=10.0), np.array([2.0, 5.0, longest])
+    paths = np.linspace(0.0, 1.0, 9)[:, None] * lengths[:, None, None] * [1.0, 0.0, 0.0]
+    shares = np.array([1.0, 0.5, 1.0])
+    with jax.enable_x64(True):
+        together = jax.tree.map(np.asarray, jax.jit(lambda p, s: select_routes(p, config, s))(paths, shares))
+        alone = [select_routes(paths[k : k + 1], config, shares[k : k + 1]) for k in range(3)]
+        even = np.stack([resample(path, config.samples) for path in paths])
+    flown = np.array([2.0, 2.5, min(longest, 28.0)])
+    np.testing.assert_allclose(together.samples[:, -1, 0], flown, atol=1e-9)
+    np.testing.assert_allclose(together.knots.waypoints[:, -1, 0], flown, atol=1e-9)
+    assert together.whole.tolist() == [True, False, longest <= 28.0]
+    for k in range(3):
+        for mine, theirs in zip(jax.tree.leaves(together), jax.tree.leaves(alone[k]), strict=True):
+            np.testing.assert_allclose(mine[k], np.asarray(theirs)[0], atol=1e-12)
+    np.testing.assert_allclose(together.samples[together.whole], even[together.whole], atol=1e-12)
 
 
 def test_configuration_is_checked():

@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 
 import jaxplan
-from jaxplan.spline import PiecewisePolynomial
+from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.vehicle.flatness import differential_flatness
-from jaxplan.vehicle.limits import Feasibility, feasibility, rotor_feasibility, squared_speed_bounds
+from jaxplan.vehicle.limits import (
+    Feasibility,
+    feasibility,
+    rotor_feasibility,
+    rotor_limit_margin,
+    squared_speed_bounds,
+    thrust_limit_margin,
+)
 
 
 def trajectory(seed, pace, yaw_range=1.0):
@@ -66,3 +73,25 @@ def test_a_batch_equals_a_loop(x64):
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *splines)
     codes = jax.jit(jax.vmap(lambda spline: feasibility(vehicle, spline, 64)))(stacked)
     assert codes.tolist() == [int(rotor_feasibility(vehicle, spline)) for spline in splines]
+
+
+def test_the_share_of_thrust_has_the_sign_of_the_rotor_speed_and_a_slope_where_a_rotor_stands_still(x64):
+    """The range of a rotor's thrust is that of its squared speed."""
+    vehicle = jaxplan.load_vehicle()
+    for pace in (0.5, 1.0, 2.0):
+        spline = trajectory(3, pace)
+        times = np.linspace(0.0, float(spline.duration), 200)
+        speeds = demanded(vehicle, spline, times)
+        squares, least, most = np.sign(speeds) * speeds**2, vehicle.rotor_speed_min**2, vehicle.rotor_speed_max**2
+        wanted = np.minimum(squares - least, most - squares).min(axis=1) / (most - least)
+        states = jax.tree.map(jnp.asarray, spline.state(times))
+        found = jax.vmap(lambda state: thrust_limit_margin(vehicle, state))(states)
+        np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12)
+        np.testing.assert_array_equal(found >= 0.0, jax.vmap(lambda s: rotor_limit_margin(vehicle, s))(states) >= 0.0)
+    falling = FlatState(derivatives=jnp.zeros((5, 3)).at[2, 2].set(-9.81), yaw=jnp.zeros(3))
+    slope = jax.grad(lambda rise: thrust_limit_margin(vehicle, add_thrust(falling, rise)))(0.0)
+    assert np.isfinite(slope)
+
+
+def add_thrust(state, rise):
+    return FlatState(derivatives=state.derivatives.at[2, 2].add(rise), yaw=state.yaw)
