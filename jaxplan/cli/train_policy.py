@@ -1,12 +1,22 @@
 """``jaxplan train dataset|pretrain``: how the shipped policies are made."""
 
 import dataclasses
+import functools
 from pathlib import Path
 
 from jaxplan.versions import require_supported_jax
 
 
-def dataset(*, out: Path, shards: int = 48, seed: int = 1, vehicle: str = "mfrl", debug: bool = False) -> int:
+def dataset(
+    *,
+    out: Path,
+    shards: int = 48,
+    seed: int = 1,
+    vehicle: str = "mfrl",
+    workers: int = 0,
+    scheduler: str | None = None,
+    debug: bool = False,
+) -> int:
     """Make a training set of labelled waypoint sequences; a run that was cut off goes on.
 
     Parameters
@@ -19,14 +29,25 @@ def dataset(*, out: Path, shards: int = 48, seed: int = 1, vehicle: str = "mfrl"
         Seed of the rooms and sequences.
     vehicle
         A preset's name or a TOML file.
+    workers
+        Processes on this machine that make shards; 0: only this one, on all cores.
+    scheduler
+        Address of a dask scheduler with workers of its own, like tcp://host:8786.
     debug
         Show the traceback of an error.
     """
     require_supported_jax()
-    from jaxplan.training.dataset import DatasetConfig, add_rollouts, make_dataset
+    from jaxplan.errors import InputError
+    from jaxplan.experiment.spread import spread
+    from jaxplan.training.dataset import DatasetConfig, in_turn, make_dataset
 
-    make_dataset(out, DatasetConfig(shards=shards, seed=seed, vehicle=vehicle))
-    add_rollouts(out)
+    if workers < 0 or (workers and scheduler is not None):
+        raise InputError(
+            f"train dataset: have --workers {workers} and --scheduler {scheduler}, want 0 or more, or a scheduler"
+        )
+    spreading = workers > 0 or scheduler is not None
+    each = functools.partial(spread, workers=workers, scheduler=scheduler) if spreading else in_turn
+    make_dataset(out, DatasetConfig(shards=shards, seed=seed, vehicle=vehicle), each=each)
     return 0
 
 

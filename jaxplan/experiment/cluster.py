@@ -4,23 +4,20 @@ Every worker has one task at a time, pinned to it, so that what dies with a work
 of a group, which never counts against the job. Workers that die are replaced by their nannies.
 """
 
-import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from jaxplan.errors import InputError, ResourceError
+from jaxplan.errors import ResourceError
 from jaxplan.experiment import work
+from jaxplan.experiment.connection import connect
 from jaxplan.experiment.ledger import Job, Ledger
 from jaxplan.experiment.shards import Outcome, Shard
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-CONNECT_SECONDS = 8.0
-"""How long a scheduler may take to answer."""
 WORKER_SECONDS = 60.0
 """How long a run waits without any worker before it gives up."""
 PREPARATIONS = 20
@@ -45,7 +42,7 @@ def run_on_cluster(
     Raises:
         ResourceError: dask is absent, the scheduler does not answer, or workers cannot be kept alive.
     """
-    with _client(workers, scheduler) as client:
+    with connect(workers, scheduler) as client:
         _Dispatcher(client, name, config, ledger, finished).run()
 
 
@@ -159,48 +156,3 @@ class _Dispatcher:
     def _keep(self, shard: Shard, complete: dict[str, Outcome] | None) -> None:
         if complete is not None:
             self._finished(shard, complete)
-
-
-@contextmanager
-def _client(workers: int, scheduler: str | None) -> "Iterator[Client]":
-    """A client of the scheduler at that address, or of a cluster on this machine that ends with it."""
-    try:
-        import dask
-        from distributed import Client, LocalCluster
-    except ImportError as error:
-        raise ResourceError(
-            "experiment: several processes need dask, which is not installed; pip install 'jaxplan[cluster]', or use "
-            "--workers 0 to stay in this process"
-        ) from error
-    for name in ("distributed", "distributed.client"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)
-    if scheduler is not None:
-        try:
-            client = Client(scheduler, timeout=CONNECT_SECONDS)
-        except ValueError as error:
-            raise InputError(f"--scheduler: have {scheduler!r}, want an address like tcp://host:8786") from error
-        except (OSError, TimeoutError) as error:
-            raise ResourceError(
-                f"--scheduler {scheduler}: no answer within {CONNECT_SECONDS:.0f} s; start it, or correct the address"
-            ) from error
-        with client:
-            yield client
-        return
-    settings = {
-        "distributed.nanny.pre-spawn-environ": work.ONE_THREAD,
-        "distributed.scheduler.allowed-failures": 0,  # the ledger decides what is tried again
-        "distributed.deploy.lost-worker-timeout": "1000 days",  # else a nanny is closed while its worker restarts
-    }
-    with (
-        dask.config.set(settings),
-        LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            memory_limit=0,
-            dashboard_address=":0",
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        Client(cluster) as client,
-    ):
-        yield client

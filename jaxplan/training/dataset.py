@@ -5,12 +5,13 @@ fastest flights along the former. ``dataset.json`` holds what made it and the ha
 """
 
 import dataclasses
+import functools
 import hashlib
 import io
 import json
 import os
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -75,6 +76,9 @@ class Shard(NamedTuple):
 
 
 Labeller = Callable[[Queries], tuple[np.ndarray, np.ndarray]]
+Flyer = Callable[[Queries, Float[np.ndarray, "m b"]], SplineBatch]
+Each = Callable[[Callable[[int], Shard], list[int]], Iterator[tuple[int, Shard]]]
+"""Calls a function with each number and gives what it returns, in whatever order."""
 
 
 def build_labels(vehicle: Vehicle, config: LabelConfig) -> Labeller:
@@ -82,47 +86,40 @@ def build_labels(vehicle: Vehicle, config: LabelConfig) -> Labeller:
     return in_float64(lambda queries: jax.tree.map(np.asarray, compiled(queries)))
 
 
-def build_flights(config: LabelConfig) -> Callable[[Queries, Float[np.ndarray, "m b"]], SplineBatch]:
+def build_flights(config: LabelConfig) -> Flyer:
     compiled = jax.jit(lambda queries, durations: trajectories(queries, durations, config.max_yaw_rate))
     return in_float64(lambda queries, durations: jax.tree.map(np.asarray, compiled(queries, durations)))
 
 
-def make_dataset(folder: Path, config: DatasetConfig, report: Callable[[str], None] = print) -> None:
-    """Write the shards that are missing in ``folder``."""
+def in_turn(make: Callable[[int], Shard], numbers: list[int]) -> Iterator[tuple[int, Shard]]:
+    """One after the other, in this process."""
+    for number in numbers:
+        yield number, make(number)
+
+
+def make_dataset(
+    folder: Path, config: DatasetConfig, report: Callable[[str], None] = print, each: Each = in_turn
+) -> None:
+    """Write the shards that are missing in ``folder``.
+
+    Args:
+        each: who makes them, in whatever order.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     record = {"config": dataclasses.asdict(config), "shard_size": SHARD_SIZE, "held_out_every": HELD_OUT}
     stated = folder / "dataset.json"
     if stated.exists() and json.loads(stated.read_text())["config"] != json.loads(json.dumps(record["config"])):
         raise FileError(f"{folder}: holds a dataset of another configuration; choose another folder")
     stated.write_text(json.dumps(record, indent=1) + "\n")
-    vehicle = load_vehicle(config.vehicle)
-    label, fly = build_labels(vehicle, config.labels), build_flights(config.labels)
-    for index in range(config.shards):
-        path = shard_path(folder, index)
-        if path.exists():
-            continue
-        shard = make_shard(config, index, label, fly)
-        write_shard(path, shard)
-        report(f"shard {index + 1} of {config.shards}: {shard.feasible.mean():.1%} labelled")
-    _state_hashes(folder, stated, record, config.shards)
-
-
-def add_rollouts(folder: Path, report: Callable[[str], None] = print) -> None:
-    """Fly the labelled sequences of all shards that have not been flown yet."""
-    config = read_config(folder)
-    stated = folder / "dataset.json"
-    record = json.loads(stated.read_text())
-    vehicle, fly = load_vehicle(config.vehicle), build_flights(config.labels)
-    for index in range(config.shards):
-        path = shard_path(folder, index)
-        shard = read_shard(path)
-        if not np.isnan(shard.slowdown[shard.feasible]).any():
-            continue
-        slowdown = rollout_slowdown(vehicle, shard.queries, shard.durations, shard.feasible, fly)
-        write_shard(path, shard._replace(slowdown=slowdown))
-        tracked = np.mean(slowdown[shard.feasible] == 1.0)
-        report(f"shard {index + 1} of {config.shards}: {tracked:.1%} tracked at the rotors' limit")
-    _state_hashes(folder, stated, record, config.shards)
+    missing = [index for index in range(config.shards) if not shard_path(folder, index).exists()]
+    for index, shard in each(functools.partial(flown_shard, config), missing):
+        write_shard(shard_path(folder, index), shard)
+        labelled, tracked = shard.feasible.mean(), np.mean(shard.slowdown[shard.feasible] == 1.0)
+        report(
+            f"shard {index + 1} of {config.shards}: {labelled:.1%} labelled, {tracked:.1%} of them tracked at the limit"
+        )
+    hashes = {path.name: digest(path) for path in (shard_path(folder, index) for index in range(config.shards))}
+    stated.write_text(json.dumps({**record, "sha256": hashes}, indent=1) + "\n")
 
 
 def read_config(folder: Path) -> DatasetConfig:
@@ -136,13 +133,23 @@ def read_config(folder: Path) -> DatasetConfig:
         raise FileError(f"{stated}: is not a dataset's description ({error}); use jaxplan train dataset") from error
 
 
-def _state_hashes(folder: Path, stated: Path, record: dict, shards: int) -> None:
-    hashes = {p.name: digest(p) for p in (shard_path(folder, i) for i in range(shards))}
-    stated.write_text(json.dumps({**record, "sha256": hashes}, indent=1) + "\n")
+def flown_shard(config: DatasetConfig, index: int) -> Shard:
+    """Shard ``index`` of a dataset with the labels of the rotor limits and of rollouts."""
+    vehicle, label, fly = _tools(config)
+    shard = make_shard(config, index, label, fly)
+    slowdown = rollout_slowdown(vehicle, shard.queries, shard.durations, shard.feasible, fly)
+    return shard._replace(slowdown=slowdown)
 
 
-def make_shard(config: DatasetConfig, index: int, label: Labeller, fly: Callable) -> Shard:
-    """Shard ``index`` of a dataset, from its own seed."""
+@functools.lru_cache(maxsize=1)
+def _tools(config: DatasetConfig) -> tuple[Vehicle, Labeller, Flyer]:
+    """What is compiled once in a process."""
+    vehicle = load_vehicle(config.vehicle)
+    return vehicle, build_labels(vehicle, config.labels), build_flights(config.labels)
+
+
+def make_shard(config: DatasetConfig, index: int, label: Labeller, fly: Flyer) -> Shard:
+    """Shard ``index`` of a dataset with the labels of the rotor limits, from its own seed."""
     rng = np.random.default_rng([config.seed, index])
     rooms: list[Room] = []
     rest: list[Queries] = []

@@ -1,6 +1,7 @@
 """How policies are made: worlds, sequences, labels, shards, and training that goes on where it stopped."""
 
 import dataclasses
+import functools
 import json
 
 import jax
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from jaxplan.errors import FileError, InputError
+from jaxplan.experiment.spread import spread
 from jaxplan.numerics import in_float64
 from jaxplan.policy.network import NetworkConfig
 from jaxplan.spline import FlatState
@@ -16,7 +18,11 @@ from jaxplan.training.dataset import (
     Shard,
     build_flights,
     build_labels,
+    digest,
+    flown_shard,
+    in_turn,
     is_held_out,
+    make_dataset,
     read_shard,
     shard_path,
     write_shard,
@@ -105,6 +111,44 @@ def test_shards_come_back_and_damaged_ones_are_refused(tmp_path):
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(FileError, match=r"shard-0000\.npz"):
         read_shard(path)
+
+
+def test_a_dataset_is_made_in_any_order_and_goes_on_where_it_stopped(tmp_path):
+    config, made = DatasetConfig(shards=4), []
+
+    def backwards(make, numbers):
+        for number in reversed(numbers):
+            made.append(number)
+            yield number, made_up_shard(number, lanes=8)
+            if len(made) == 2:
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make_dataset(tmp_path, config, each=backwards)
+    assert made == [3, 2]
+    make_dataset(tmp_path, config, each=backwards)
+    assert made == [3, 2, 1, 0]
+    hashes = json.loads((tmp_path / "dataset.json").read_text())["sha256"]
+    assert hashes == {f"shard-{k:04d}.npz": digest(shard_path(tmp_path, k)) for k in range(4)}
+    np.testing.assert_allclose(
+        read_shard(shard_path(tmp_path, 3)).durations, made_up_shard(3, lanes=8).durations, rtol=1e-6
+    )
+    with pytest.raises(FileError, match="another configuration"):
+        make_dataset(tmp_path, DatasetConfig(shards=4, seed=5), each=backwards)
+
+
+@pytest.mark.slow
+def test_a_shard_is_the_same_from_a_worker(tmp_path):
+    config = DatasetConfig(shards=1, seed=4)
+    make_dataset(tmp_path / "here", config, each=in_turn)
+    make_dataset(tmp_path / "there", config, each=functools.partial(spread, workers=1))
+    here, there = (read_shard(shard_path(tmp_path / name, 0)) for name in ("here", "there"))
+    np.testing.assert_array_equal(here.queries.waypoints, there.queries.waypoints)
+    np.testing.assert_array_equal(here.feasible, there.feasible)
+    np.testing.assert_allclose(here.durations, there.durations, rtol=1e-5)
+    assert np.mean(here.slowdown == there.slowdown) > 0.99 * np.mean(here.feasible)
+    assert 0.5 < np.mean(here.slowdown[here.feasible] == 1.0) < 1.0
+    assert flown_shard(config, 0).feasible.tolist() == here.feasible.tolist()
 
 
 def test_training_and_held_out_sequences_are_apart(data):
