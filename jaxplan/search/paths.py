@@ -8,8 +8,9 @@ from jaxplan.search import astar
 from jaxplan.search.found import write_paths
 from jaxplan.search.graph import NO_ENTRY
 from jaxplan.search.lattice import Lattices, Paths, choose_level, level_graph
-from jaxplan.search.request import Request, finish, mark_finer, open_request, warm_up_clearance
+from jaxplan.search.request import Request, finish, mark_finer, open_request
 from jaxplan.world.obstacles import World
+from jaxplan.world.occupancy import exact_clearance
 
 
 @in_float64
@@ -42,8 +43,8 @@ def find_paths(
 def warmup(lattices: Lattices, world: World, capacity: int = 256) -> None:
     """Compile everything that ``find_paths`` may call for this world."""
     astar.warmup()
-    warm_up_clearance(world)
     middle = np.asarray(world.bounds).mean(axis=0)
+    exact_clearance(world.obstacles, middle[None])
     for distance in (0.0, np.inf):
         find_paths(lattices, world, middle, middle[None], distance, capacity)
 

@@ -6,20 +6,17 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxplan.errors import InputError
-from jaxplan.numerics import in_float64
 from jaxplan.search.lattice import Lattices, Paths
 from jaxplan.status import Note, Reason
 from jaxplan.world.obstacles import World
-from jaxplan.world.occupancy import CHUNK, Lattice, cell_centres, compiled_clearance
+from jaxplan.world.occupancy import Lattice, cell_centres, exact_clearance
 
 _ESCAPES = 128
 """Free cells near a padded start whose line of sight is examined; arbitrary."""
-_SAMPLES = CHUNK // _ESCAPES
-"""Points per line of sight, 64: one line of 1 m is resolved to 16 mm, and all lines are one compiled chunk."""
+_SAMPLES = 64
+"""Points per line of sight: one of 1 m is resolved to 16 mm."""
 _ESCAPE_RADIUS = 1.5
 """m; arbitrary, three times the padding."""
-_GOALS = 512
-"""Goals per compiled call of the exact clearance."""
 
 
 class Request(NamedTuple):
@@ -71,13 +68,6 @@ def finish(paths: Paths, expanded: int) -> Paths:
     )
 
 
-@in_float64
-def warm_up_clearance(world: World) -> None:
-    """Compile the clearance for the shapes that the search asks for."""
-    _exact_margins(world, np.zeros((1, 3)))
-    _lines_are_clear(world, np.zeros(3), np.zeros((_ESCAPES, 3)))
-
-
 def _points(values: object, name: str, shape: tuple[int, ...]) -> np.ndarray:
     """A writable float64 copy in C order."""
     points = np.array(values, dtype=np.float64, order="C")
@@ -109,9 +99,8 @@ def _usable_goals(lattices: Lattices, world: World, goals: Float[np.ndarray, "k 
     index = np.where(usable[:, None], goals, lower) - grid.origin
     index = np.minimum((index / grid.resolution).astype(np.int64), np.array(grid.shape) - 1)
     doubtful = np.flatnonzero(usable & grid.occupied[tuple(index.T)])
-    for part in np.split(doubtful, range(_GOALS, len(doubtful), _GOALS)) if len(doubtful) else ():
-        to_obstacle, to_wall = _exact_margins(world, goals[part])
-        usable[part] = (to_obstacle >= lattices.config.padding) & (to_wall >= float(world.keep_in))
+    to_obstacle, to_wall = _exact_margins(world, goals[doubtful])
+    usable[doubtful] = (to_obstacle >= lattices.config.padding) & (to_wall >= float(world.keep_in))
     return usable
 
 
@@ -150,12 +139,9 @@ def _free_cells_near(grid: Lattice, start: Float[np.ndarray, "3"]) -> Float[np.n
 
 
 def _exact_margins(world: World, points: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
-    """Distances [m] to the nearest obstacle and to the nearest face, for at most ``_GOALS`` points."""
-    filled = np.zeros((_GOALS, 3))
-    filled[: len(points)] = points
-    to_obstacle = np.asarray(compiled_clearance(world.obstacles, filled))[: len(points)]
+    """Distances [m] to the nearest obstacle and to the nearest face."""
     lower, upper = np.asarray(world.bounds)
-    return to_obstacle, np.minimum(points - lower, upper - points).min(axis=-1)
+    return exact_clearance(world.obstacles, points), np.minimum(points - lower, upper - points).min(axis=-1)
 
 
 def _lines_are_clear(
@@ -168,6 +154,6 @@ def _lines_are_clear(
     """
     fraction = np.linspace(0.0, 1.0, _SAMPLES)
     samples = start + fraction[:, None] * (ends[:, None] - start)
-    margin = np.asarray(compiled_clearance(world.obstacles, samples.reshape(-1, 3))).reshape(samples.shape[:-1])
+    margin = exact_clearance(world.obstacles, samples.reshape(-1, 3)).reshape(samples.shape[:-1])
     gap = np.linalg.norm(ends - start, axis=-1)[:, None] / (_SAMPLES - 1)
     return np.asarray((margin[:, 1:] + margin[:, :-1] > gap).all(axis=1))

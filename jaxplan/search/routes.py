@@ -18,9 +18,10 @@ from jaxplan.numerics import in_float64
 from jaxplan.search import astar
 from jaxplan.search.graph import NO_ENTRY
 from jaxplan.search.lattice import Lattices, Paths, choose_level, grid_frame, level_graph
-from jaxplan.search.request import Request, finish, mark_finer, open_request, warm_up_clearance
+from jaxplan.search.request import Request, finish, mark_finer, open_request
 from jaxplan.search.shorten import write_straight, write_taut
 from jaxplan.world.obstacles import World
+from jaxplan.world.occupancy import exact_clearance
 
 
 @in_float64
@@ -59,8 +60,8 @@ def find_routes(
 
 def warmup(lattices: Lattices, world: World, capacity: int = 32) -> None:
     """Compile everything that ``find_routes`` may call for this world."""
-    warm_up_clearance(world)
     middle = np.asarray(world.bounds).mean(axis=0)
+    exact_clearance(world.obstacles, middle[None])
     for distance in (0.0, np.inf):
         find_routes(lattices, world, middle, middle[None], distance, capacity)
 

@@ -31,8 +31,10 @@ RESOLUTIONS = (0.1, 0.2, 0.5, 1.0)
 MAX_CELLS = 2**24
 """Cells of the finest lattice; 16 MB of occupancy, and about 0.5 GB behind a search on it."""
 
-CHUNK = 2**13
-"""Points per compiled call of the clearance."""
+CHUNK = 2**11
+"""Points per compiled call of the clearance: few enough for the handful of a search, enough for a million cells."""
+_BLOCK = 2**16
+"""Cells whose centres are in memory at a time."""
 _ROUNDING = 1e-9
 """m; a centre at exactly ``keep_in`` from a face counts as inside, whatever the rounding."""
 
@@ -109,7 +111,7 @@ def padded_cells(
     padding: float,
     first: tuple[int, int, int] = (0, 0, 0),
 ) -> Bool[np.ndarray, "nx ny nz"]:
-    """Which cells' centres are closer than ``padding`` to an obstacle; a chunk of cells at a time.
+    """Which cells' centres are closer than ``padding`` to an obstacle.
 
     ``origin`` is the lower corner of the lattice [m]; the ``shape`` cells from cell ``first`` on are judged.
     """
@@ -118,16 +120,23 @@ def padded_cells(
     obstacles = jax.tree.map(
         lambda a: jnp.asarray(a) if np.size(a) > CHUNK else a, obstacles
     )  # one copy, not one a chunk
-    for begin in range(0, count, CHUNK):
-        index = np.minimum(np.arange(begin, begin + CHUNK), count - 1)
+    for begin in range(0, count, _BLOCK):
+        index = np.arange(begin, min(begin + _BLOCK, count))
         cells = np.stack(np.unravel_index(index, shape), axis=-1) + np.asarray(first)
-        far = np.asarray(compiled_clearance(obstacles, origin + (cells + 0.5) * resolution)) >= padding
-        padded[begin : begin + CHUNK] = ~far[: count - begin]
+        far = exact_clearance(obstacles, origin + (cells + 0.5) * resolution) >= padding
+        padded[begin : begin + _BLOCK] = ~far
     return padded.reshape(shape)
 
 
-compiled_clearance = jax.jit(clearance)
-"""Shared, so that the search compiles no second program for ``CHUNK`` points."""
+@in_float64
+def exact_clearance(obstacles: Obstacles, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+    """Distance [m] to the nearest obstacle of any number of points; one program serves lattices and searches (host)."""
+    filled = np.resize(points, (-(-len(points) // CHUNK), CHUNK, 3))
+    parts = [np.asarray(_compiled_clearance(obstacles, part)) for part in filled]
+    return np.concatenate([np.zeros(0), *parts])[: len(points)]
+
+
+_compiled_clearance = jax.jit(clearance)
 
 
 def coarsen(padded: Bool[np.ndarray, "nx ny nz"], factor: int) -> Bool[np.ndarray, "mx my mz"]:

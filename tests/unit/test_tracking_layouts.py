@@ -9,23 +9,9 @@ from jaxplan.spline import FlatState, hover
 from jaxplan.tracking.rollout import CONTROL_RATE, ControllerName, build_plant
 from jaxplan.vehicle.params import hover_speeds, load_vehicle
 from oracles import plant_references
+from oracles.layouts import LAYOUTS
 
 TIMES = np.arange(4 * CONTROL_RATE + 1) / CONTROL_RATE
-LAYOUTS = {
-    "kite": (
-        [[0.12, 0.06, 0.0], [0.07, -0.1, 0.01], [-0.09, -0.07, 0.0], [-0.06, 0.11, -0.01]],
-        [1.0, -1.0, 1.0, -1.0],
-    ),
-    "triangle and centre": (
-        [[0.1, 0.0, 0.0], [-0.05, -0.09, 0.0], [-0.05, 0.09, 0.0], [0.0] * 3],
-        [1.0, 1.0, 1.0, -1.0],
-    ),
-    "spins by sides": (
-        [[0.1, 0.06, 0.0], [0.1, -0.06, 0.0], [-0.1, -0.12, 0.0], [-0.1, 0.12, 0.0]],
-        [1.0, -1.0, -1.0, 1.0],
-    ),
-}
-"""Places [m] and spins. In the last, yaw has to be made against the reaction of the rotors."""
 
 
 def references() -> FlatState:

@@ -12,6 +12,7 @@ from jaxplan.errors import FileError, InputError
 from jaxplan.records import replace
 from jaxplan.vehicle.allocation import allocation_matrix, inverse_allocation_matrix, signed_sqrt
 from jaxplan.vehicle.params import Vehicle, hover_speeds, list_presets, load_vehicle
+from oracles.layouts import LAYOUTS
 
 
 @pytest.mark.parametrize(("name", "hover", "ratio"), [("mfrl", 1080.0, 4.15), ("flightgoggles", 1133.0, 3.77)])
@@ -48,22 +49,6 @@ def test_allocation_is_the_published_frd_mixer_seen_in_flu(name: str) -> None:
         flu, inverse = np.asarray(allocation_matrix(cast)), np.asarray(inverse_allocation_matrix(cast))
     np.testing.assert_allclose(flu, np.diag([1, -1, -1, -1]) @ frd, rtol=1e-12)
     np.testing.assert_allclose(inverse, np.linalg.inv(flu), rtol=1e-9, atol=1e-3)  # entries are 1e5 to 1e7
-
-
-LAYOUTS = {
-    "kite": (
-        [[0.12, 0.06, 0.0], [0.07, -0.1, 0.01], [-0.09, -0.07, 0.0], [-0.06, 0.11, -0.01]],
-        [1.0, -1.0, 1.0, -1.0],
-    ),
-    "triangle and centre": (
-        [[0.1, 0.0, 0.0], [-0.05, -0.09, 0.0], [-0.05, 0.09, 0.0], [0.0] * 3],
-        [1.0, 1.0, 1.0, -1.0],
-    ),
-    "spins by sides": (
-        [[0.1, 0.06, 0.0], [0.1, -0.06, 0.0], [-0.1, -0.12, 0.0], [-0.1, 0.12, 0.0]],
-        [1.0, -1.0, -1.0, 1.0],
-    ),
-}
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
