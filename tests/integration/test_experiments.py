@@ -22,7 +22,7 @@ from experiments.closed_loop import EpisodeConfig
 from experiments.optimiser import optimiser_policy
 from experiments.table1_report import PAPER, by_cell, report
 from jaxplan.errors import ResourceError
-from jaxplan.experiment import cluster
+from jaxplan.experiment import cluster, connection
 from jaxplan.experiment.definition import Results
 from jaxplan.experiment.ledger import Ledger
 from jaxplan.experiment.registry import experiment_names, load_experiment
@@ -80,7 +80,7 @@ def test_workers_that_die_are_replaced_and_poison_is_named(tmp_path: Path) -> No
 
 
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "CONNECT_SECONDS", 1.0)
+    monkeypatch.setattr(connection, "CONNECT_SECONDS", 1.0)
     began = time.monotonic()
     with pytest.raises(ResourceError, match=r"tcp://127.0.0.1:9: no answer within 1 s"):
         cluster.run_on_cluster(NAME, {}, Ledger([]), lambda shard, found: None, 0, "tcp://127.0.0.1:9")
