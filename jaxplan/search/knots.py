@@ -63,26 +63,27 @@ def select_routes(
 ) -> KnottedPaths:
     """Waypoints and samples of the first ``shares`` of searched paths [m] whose unused points repeat their last one."""
     sample = jax.vmap(lambda path, share: resample(path, config.samples, share))
+    spread = jax.vmap(lambda path, along: _spread(path, along, config))
     whole = sample(paths, jnp.ones(len(paths), paths.dtype))
-    shares = jnp.minimum(MAX_WAYPOINTS / jax.vmap(lambda path: wanted_knots(path, config))(whole), shares)
-    samples = jax.lax.cond(jnp.any(shares < 1.0), lambda: sample(paths, shares), lambda: whole)
-    return KnottedPaths(jax.vmap(lambda path: select_knots(path, config))(samples), samples, shares >= 1.0)
+    along = jax.vmap(_parameters)(whole)
+    shares = jnp.minimum(MAX_WAYPOINTS / jax.vmap(lambda one: _wanted(one, config))(along), shares)
+
+    def cut() -> tuple[Knots, Array]:
+        samples = sample(paths, shares)
+        return spread(samples, jax.vmap(_parameters)(samples)), samples
+
+    knots, samples = jax.lax.cond(jnp.any(shares < 1.0), cut, lambda: (spread(whole, along), whole))
+    return KnottedPaths(knots, samples, shares >= 1.0)
 
 
 def select_knots(path: Float[Array, "l 3"], config: KnotConfig) -> Knots:
     """At most ``MAX_WAYPOINTS`` waypoints along one whole path [m] whose unused points repeat its last one."""
-    distance, curvature = _parameters(path)
-    count = jnp.clip(jnp.ceil(wanted_knots(path, config)), 2, MAX_WAYPOINTS).astype(jnp.int32)
-    parameter = 0.5 * (distance + curvature)
-    share = jnp.minimum(jnp.arange(MAX_WAYPOINTS) / (count - 1), 1.0)
-    return Knots(interpolate_along(path, parameter, share * parameter[-1]), count)
+    return _spread(path, _parameters(path), config)
 
 
 def wanted_knots(path: Float[Array, "l 3"], config: KnotConfig) -> Float[Array, ""]:
     """max(k_d / k_d,min, k_c / k_c,min) of a whole path, before rounding and limits; at least 2."""
-    distance, curvature = _parameters(path)
-    wanted = jnp.maximum(distance[-1] / config.distance_per_knot, curvature[-1] / config.turning_per_knot)
-    return jnp.maximum(wanted, 2.0)
+    return _wanted(_parameters(path), config)
 
 
 def resample(path: Float[Array, "l 3"], samples: int, share: Float[Array, ""] | float = 1.0) -> Float[Array, "s 3"]:
@@ -101,12 +102,33 @@ def interpolate_along(
     return path[right - 1] * (1.0 - weight) + path[right] * weight
 
 
-def _parameters(path: Float[Array, "l 3"]) -> tuple[Float[Array, "l"], Float[Array, "l"]]:
-    """k_d [m] and k_c [rad] at every point of a path."""
+class _Along(NamedTuple):
+    """What has added up at every point of a path."""
+
+    distance: Float[Array, "l"]
+    """k_d [m]."""
+    turning: Float[Array, "l"]
+    """k_c [rad]."""
+
+
+def _spread(path: Float[Array, "l 3"], along: _Along, config: KnotConfig) -> Knots:
+    """The waypoints, uniform in k."""
+    count = jnp.clip(jnp.ceil(_wanted(along, config)), 2, MAX_WAYPOINTS).astype(jnp.int32)
+    parameter = 0.5 * (along.distance + along.turning)
+    share = jnp.minimum(jnp.arange(MAX_WAYPOINTS) / (count - 1), 1.0)
+    return Knots(interpolate_along(path, parameter, share * parameter[-1]), count)
+
+
+def _wanted(along: _Along, config: KnotConfig) -> Float[Array, ""]:
+    distance, turning = along.distance[-1] / config.distance_per_knot, along.turning[-1] / config.turning_per_knot
+    return jnp.maximum(jnp.maximum(distance, turning), 2.0)
+
+
+def _parameters(path: Float[Array, "l 3"]) -> _Along:
     edges = jnp.diff(path, axis=0)
     lengths = safe_norm(edges)
     turning = _turning(edges, lengths)
-    return _cumulate(lengths), _cumulate(jnp.concatenate([jnp.zeros_like(turning[:1]), turning]))
+    return _Along(_cumulate(lengths), _cumulate(jnp.concatenate([jnp.zeros_like(turning[:1]), turning])))
 
 
 def _turning(edges: Float[Array, "e 3"], lengths: Float[Array, "e"]) -> Float[Array, "e-1"]:
