@@ -14,7 +14,8 @@ from jaxplan.tracking.rotor_commands import rotor_commands
 from jaxplan.tracking.sensing import MOMENT, RATES, SPECIFIC_FORCE, THRUST, Sensed
 from jaxplan.vehicle.flatness import against_drag, attitude_from, body_rates_from
 from jaxplan.vehicle.params import Vehicle
-from jaxplan.vehicle.rotations import length, rotation_vector
+from jaxplan.vehicle.rotations import rotation_vector
+from jaxplan.vehicle.vectors import length
 
 
 def indi(vehicle: Vehicle, sensed: Sensed, reference: FlatState) -> tuple[Float[Array, "4"], Bool[Array, ""]]:

@@ -26,7 +26,8 @@ from jaxplan.tracking.sensing import Sensed
 from jaxplan.vehicle.allocation import allocation_matrix
 from jaxplan.vehicle.flatness import against_drag, differential_flatness
 from jaxplan.vehicle.params import Vehicle
-from jaxplan.vehicle.rotations import length, rotation_from_quat
+from jaxplan.vehicle.rotations import rotation_from_quat
+from jaxplan.vehicle.vectors import length
 
 DT = 1.0 / PHYSICS_RATE
 """s, one physics step."""

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplan.vehicle.params import Vehicle
+from jaxplan.vehicle.vectors import Vector, dot
 
 _SIGNS = np.array([[1.0, -1.0, 1.0, -1.0], [-1.0, 1.0, -1.0, 1.0], [1.0, -1.0, 1.0, -1.0], [-1.0, 1.0, -1.0, 1.0]])
 """Of the cofactors."""
@@ -46,9 +47,10 @@ def _units(vehicle: Vehicle) -> Float[Array, "4"]:
     return jnp.stack([lift, lift, vehicle.torque_coefficient, lift])
 
 
-def squared_rotor_speeds(vehicle: Vehicle, moment: Float[Array, "3"], thrust: Float[Array, ""]) -> Float[Array, "4"]:
+def squared_rotor_speeds(vehicle: Vehicle, moment: Vector, thrust: Float[Array, ""]) -> list[Float[Array, ""]]:
     """Squares [(rad/s)^2] of the rotor speeds that make ``moment`` [N m, body] and ``thrust`` [N]; < 0 if none do."""
-    return inverse_allocation_matrix(vehicle) @ jnp.concatenate([moment, thrust[None]])
+    inverse = inverse_allocation_matrix(vehicle)
+    return [dot(inverse[rotor], moment) + inverse[rotor, 3] * thrust for rotor in range(4)]
 
 
 def signed_sqrt(x: Float[Array, "..."]) -> Float[Array, "..."]:

@@ -8,6 +8,8 @@ and b_x in the vertical plane of the yaw angle: the heading of b_x is exactly th
 (Tal & Karaman, IEEE TCST 29(3), 2021, eq. 12-15; theirs is NED with b_z down, here z is up and the body FLU).
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -17,7 +19,8 @@ from jaxplan.records import record
 from jaxplan.spline import FlatState
 from jaxplan.vehicle.allocation import signed_sqrt, squared_rotor_speeds
 from jaxplan.vehicle.params import Vehicle
-from jaxplan.vehicle.rotations import length, quat_from_rotation
+from jaxplan.vehicle.rotations import quat_from_rotation
+from jaxplan.vehicle.vectors import Vector, cross, direction, dot, length
 
 
 @record
@@ -42,6 +45,17 @@ class FlatOutputs:
     """rad/s; negative where the rotor would have to pull downwards."""
 
 
+class Demand(NamedTuple):
+    """What one flat state demands of the body, entry by entry; units as in ``FlatOutputs``."""
+
+    specific_thrust: Float[Array, ""]
+    axes: tuple[Vector, Vector, Vector]
+    """b_x, b_y and b_z in the world: the columns of the rotation."""
+    body_rates: Vector
+    angular_acceleration: Vector
+    moment: Vector
+
+
 def differential_flatness(vehicle: Vehicle, state: FlatState) -> FlatOutputs:
     """Attitude, rates, thrust, moment and rotor speeds along a trajectory, at one instant.
 
@@ -49,24 +63,29 @@ def differential_flatness(vehicle: Vehicle, state: FlatState) -> FlatOutputs:
     """
     state = jax.tree.map(jnp.asarray, state)
     vehicle = vehicle.astype(state.derivatives.dtype)
-    force = state.acc + vehicle.gravity * jnp.array([0.0, 0.0, 1.0], state.acc.dtype)
-    specific_thrust = length(force)
-    rotation = attitude_from(force, state.yaw[0])
-    rates, angular_acceleration = body_rates_from(
-        rotation, specific_thrust, state.jerk, state.snap, state.yaw[1], state.yaw[2]
-    )
-    moment = vehicle.inertia * angular_acceleration + jnp.cross(rates, vehicle.inertia * rates)
-    thrust = vehicle.mass * specific_thrust
+    demand = demand_of(vehicle, state)
+    rotation, thrust = _matrix(demand.axes), vehicle.mass * demand.specific_thrust
     return FlatOutputs(
-        specific_thrust=specific_thrust,
+        specific_thrust=demand.specific_thrust,
         thrust=thrust,
         rotation=rotation,
         quat_wxyz=quat_from_rotation(rotation),
-        body_rates=rates,
-        angular_acceleration=angular_acceleration,
-        moment=moment,
-        rotor_speeds=signed_sqrt(squared_rotor_speeds(vehicle, moment, thrust)),
+        body_rates=jnp.stack(demand.body_rates),
+        angular_acceleration=jnp.stack(demand.angular_acceleration),
+        moment=jnp.stack(demand.moment),
+        rotor_speeds=signed_sqrt(jnp.stack(squared_rotor_speeds(vehicle, demand.moment, thrust))),
     )
+
+
+def demand_of(vehicle: Vehicle, state: FlatState) -> Demand:
+    """The body's part of ``differential_flatness``, for many lanes. ``vehicle`` is cast already."""
+    acc, inertia = state.acc, vehicle.inertia
+    force = (acc[0], acc[1], acc[2] + vehicle.gravity)
+    specific_thrust, axes = length(force), _axes(force, state.yaw[0])
+    rates, angular_acceleration = _rates(axes, specific_thrust, state.jerk, state.snap, state.yaw[1], state.yaw[2])
+    gyroscopic = cross(rates, [inertia[axis] * rates[axis] for axis in range(3)])
+    moment = [inertia[axis] * angular_acceleration[axis] + gyroscopic[axis] for axis in range(3)]
+    return Demand(specific_thrust, axes, rates, angular_acceleration, moment)
 
 
 def against_drag(vehicle: Vehicle, reference: FlatState) -> FlatState:
@@ -76,7 +95,7 @@ def against_drag(vehicle: Vehicle, reference: FlatState) -> FlatState:
     vel, acc = reference.vel, reference.acc
     speed = length(vel)
     share = vehicle.drag_coefficient / vehicle.mass
-    along = safe_divide(jnp.dot(vel, acc), speed)
+    along = safe_divide(dot(vel, acc), speed)
     drag_rate = speed * acc + along * vel
     derivatives = reference.derivatives.at[2].add(share * speed * vel).at[3].add(share * drag_rate)
     return FlatState(derivatives=derivatives, yaw=reference.yaw)
@@ -87,14 +106,7 @@ def attitude_from(force: Float[Array, "3"], yaw: Float[Array, ""]) -> Float[Arra
 
     Level where ``force`` is 0. Where b_z is horizontal and normal to that plane, b_x is the horizontal heading.
     """
-    cos, sin, zero = jnp.cos(yaw), jnp.sin(yaw), jnp.zeros_like(yaw)
-    up = jnp.stack([zero, zero, zero + 1.0])
-    magnitude = length(force)
-    b_z = jnp.where(magnitude == 0.0, up, force / jnp.where(magnitude == 0.0, 1.0, magnitude))
-    ahead = jnp.cross(jnp.stack([-sin, cos, zero]), b_z)
-    span = length(ahead)
-    b_x = jnp.where(span == 0.0, jnp.stack([cos, sin, zero]), ahead / jnp.where(span == 0.0, 1.0, span))
-    return jnp.stack([b_x, jnp.cross(b_z, b_x), b_z], axis=1)
+    return _matrix(_axes(force, yaw))
 
 
 def body_rates_from(
@@ -111,9 +123,35 @@ def body_rates_from(
     hand: with R^T jerk = dc e_z + c (w x e_z) the tilt rates follow from the jerk, then w_z from the yaw rate;
     likewise one derivative higher. 0 where there is no solution (no thrust, or b_z horizontal for w_z).
     """
-    b_x3, b_y3, b_z3 = rotation[2]
-    jerk_x, jerk_y, thrust_rate = rotation.T @ jerk
-    snap_x, snap_y, _ = rotation.T @ snap
+    axes = (rotation[:, 0], rotation[:, 1], rotation[:, 2])
+    rates, acceleration = _rates(axes, specific_thrust, jerk, snap, yaw_rate, yaw_acceleration)
+    return jnp.stack(rates), jnp.stack(acceleration)
+
+
+def _axes(force: Vector, yaw: Float[Array, ""]) -> tuple[Vector, Vector, Vector]:
+    """The columns of ``attitude_from``."""
+    cos, sin, zero = jnp.cos(yaw), jnp.sin(yaw), jnp.zeros_like(yaw)
+    b_z = direction(force, otherwise=(zero, zero, zero + 1.0))
+    b_x = direction(cross((-sin, cos, zero), b_z), otherwise=(cos, sin, zero))
+    return b_x, cross(b_z, b_x), b_z
+
+
+def _matrix(axes: tuple[Vector, Vector, Vector]) -> Float[Array, "3 3"]:
+    return jnp.stack([jnp.stack(axis) for axis in axes], axis=1)
+
+
+def _rates(
+    axes: tuple[Vector, Vector, Vector],
+    specific_thrust: Float[Array, ""],
+    jerk: Vector,
+    snap: Vector,
+    yaw_rate: Float[Array, ""],
+    yaw_acceleration: Float[Array, ""],
+) -> tuple[Vector, Vector]:
+    """Entries of ``body_rates_from``."""
+    b_x3, b_y3, b_z3 = (axis[2] for axis in axes)
+    jerk_x, jerk_y, thrust_rate = (dot(axis, jerk) for axis in axes)
+    snap_x, snap_y, _ = (dot(axis, snap) for axis in axes)
     heading = 1.0 - b_x3 * b_x3  # squared length of b_x seen from above
     rate_x = -safe_divide(jerk_y, specific_thrust)
     rate_y = safe_divide(jerk_x, specific_thrust)
@@ -123,4 +161,4 @@ def body_rates_from(
     heading_rate = -2.0 * b_x3 * (rate_z * b_y3 - rate_y * b_z3)
     drift = rate_x * (rate_y * b_z3 - rate_z * b_y3)
     acc_z = safe_divide(heading * yaw_acceleration + heading_rate * yaw_rate - drift - b_y3 * acc_y, b_z3)
-    return jnp.stack([rate_x, rate_y, rate_z]), jnp.stack([acc_x, acc_y, acc_z])
+    return (rate_x, rate_y, rate_z), (acc_x, acc_y, acc_z)

@@ -1,6 +1,8 @@
 """Is a trajectory within the rotors' reach? The low-fidelity feasibility test of MFRL (no drag, no rotor lag)."""
 
 import enum
+import functools
+from collections.abc import Iterable
 
 import jax
 import jax.numpy as jnp
@@ -9,8 +11,8 @@ from jaxtyping import Array, Float, Int
 
 from jaxplan.numerics import in_float64
 from jaxplan.spline import FlatState, PiecewisePolynomial
-from jaxplan.vehicle.allocation import inverse_allocation_matrix
-from jaxplan.vehicle.flatness import differential_flatness
+from jaxplan.vehicle.allocation import inverse_allocation_matrix, signed_sqrt, squared_rotor_speeds
+from jaxplan.vehicle.flatness import demand_of
 from jaxplan.vehicle.params import Vehicle
 
 
@@ -27,12 +29,10 @@ class Feasibility(enum.IntEnum):
 
 def rotor_limit_margin(vehicle: Vehicle, state: FlatState) -> Float[Array, ""]:
     """Distance [rad/s] of the worst rotor from its nearest limit: positive inside, -inf for a state not finite."""
-    state = jax.tree.map(jnp.asarray, state)
-    vehicle = vehicle.astype(state.derivatives.dtype)
-    speeds = differential_flatness(vehicle, state).rotor_speeds
-    margin = jnp.min(jnp.minimum(speeds - vehicle.rotor_speed_min, vehicle.rotor_speed_max - speeds))
-    finite = jnp.all(jnp.isfinite(state.derivatives)) & jnp.all(jnp.isfinite(state.yaw)) & jnp.isfinite(margin)
-    return jnp.where(finite, margin, -jnp.inf)
+    vehicle, squared = _squared_speeds(vehicle, state)
+    worst = _worst(map(signed_sqrt, squared), vehicle.rotor_speed_min, vehicle.rotor_speed_max)
+    finite = jnp.all(jnp.isfinite(state.derivatives)) & jnp.all(jnp.isfinite(state.yaw)) & jnp.isfinite(worst)
+    return jnp.where(finite, worst, -jnp.inf)
 
 
 def thrust_limit_margin(vehicle: Vehicle, state: FlatState) -> Float[Array, ""]:
@@ -40,10 +40,9 @@ def thrust_limit_margin(vehicle: Vehicle, state: FlatState) -> Float[Array, ""]:
 
     Of the same sign as ``rotor_limit_margin``, and smooth where a rotor stands still; NaN for a state not finite.
     """
-    vehicle = vehicle.astype(state.derivatives.dtype)
-    speeds = differential_flatness(vehicle, state).rotor_speeds
-    least, most, squared = vehicle.rotor_speed_min**2, vehicle.rotor_speed_max**2, speeds * jnp.abs(speeds)
-    return jnp.min(jnp.minimum(squared - least, most - squared)) / (most - least)
+    vehicle, squared = _squared_speeds(vehicle, state)
+    least, most = vehicle.rotor_speed_min**2, vehicle.rotor_speed_max**2
+    return _worst(squared, least, most) / (most - least)
 
 
 def least_rotor_margin(vehicle: Vehicle, states: FlatState) -> Float[Array, "k"]:
@@ -115,6 +114,19 @@ def squared_speed_bounds(
     spread = moments @ jnp.abs(mixer[:, :3]).T
     lift = vehicle.mass * mixer[:, 3]
     return least[..., None] * lift - spread, most[..., None] * lift + spread
+
+
+def _squared_speeds(vehicle: Vehicle, state: FlatState) -> tuple[Vehicle, list[Float[Array, ""]]]:
+    """The vehicle, cast, and the squares of what its rotors turn at [(rad/s)^2], negative where one pulls down."""
+    state = jax.tree.map(jnp.asarray, state)
+    vehicle = vehicle.astype(state.derivatives.dtype)
+    demand = demand_of(vehicle, state)
+    return vehicle, squared_rotor_speeds(vehicle, demand.moment, vehicle.mass * demand.specific_thrust)
+
+
+def _worst(rotors: Iterable[Float[Array, ""]], least: Float[Array, ""], most: Float[Array, ""]) -> Float[Array, ""]:
+    """The least distance of a rotor from its nearest limit."""
+    return functools.reduce(jnp.minimum, [jnp.minimum(rotor - least, most - rotor) for rotor in rotors])
 
 
 def _middles(spline: PiecewisePolynomial, pieces: int) -> FlatState:

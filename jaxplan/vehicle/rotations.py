@@ -6,6 +6,8 @@ NaN goes through: nothing here hides a bad attitude.
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxplan.vehicle.vectors import length
+
 
 def rotation_from_quat(quat_wxyz: Float[Array, "4"]) -> Float[Array, "3 3"]:
     """The matrix that turns body vectors into world vectors."""
@@ -45,10 +47,3 @@ def rotation_vector(rotation: Float[Array, "3 3"]) -> Float[Array, "3"]:
     sine = length(vector)
     tiny = sine < 1e-6
     return jnp.where(tiny, 2.0, 2.0 * jnp.arctan2(sine, quat[0]) / jnp.where(tiny, 1.0, sine)) * vector
-
-
-def length(vector: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
-    """Euclidean norm with gradient 0 at 0; unlike ``numerics.safe_norm``, NaN stays NaN."""
-    squared = jnp.sum(vector * vector, axis=-1)
-    zero = squared == 0.0
-    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, squared)))
