@@ -82,8 +82,7 @@ def new_model(config: FeatureConfig, inducing: int, seed: int, *, related_to_low
     keys = jax.random.split(jax.random.key(seed), 2)
     network = FeatureNetwork(config).init(keys[0], jnp.zeros((1, INSTANTS, MOTION_FEATURES), jnp.float32))
     width, length = config.latent, float(np.sqrt(config.latent))
-    own, correlation = rbf(width, length), rbf(width, 2.0 * length)
-    kernel = related(width)._replace(own=own, correlation=correlation) if related_to_low else own
+    kernel = related(width, length) if related_to_low else rbf(width, length)
     dimensions = width + 1 if related_to_low else width
     spread = jax.random.uniform(keys[1], (inducing, dimensions), jnp.float32, -2.0, 2.0)
     return Model(network, new_process(kernel, spread))
