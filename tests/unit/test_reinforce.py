@@ -12,6 +12,7 @@ from jaxplan import cli
 from jaxplan.errors import FileError, InputError
 from jaxplan.feasibility.classifier import make_classifier, new_model
 from jaxplan.feasibility.features import FeatureConfig
+from jaxplan.feasibility.gaussian_process import Related, rbf
 from jaxplan.minsnap.batch import fit_each
 from jaxplan.policy.network import NetworkConfig
 from jaxplan.spline import FlatState
@@ -50,9 +51,11 @@ def parameters():
 
 @pytest.fixture(scope="module")
 def classifier():
-    model = new_model(FEATURES, 8, 0)
+    """Random opinions that depend on the feature as much as on the margin."""
+    model, length = new_model(FEATURES, 8, 0), float(np.sqrt(FEATURES.latent))
+    kernel = Related(rbf(FEATURES.latent, length), rbf(FEATURES.latent, 2.0 * length), rbf(1))
     weights = jnp.asarray(2.0 * np.random.default_rng(0).normal(size=8), jnp.float32)
-    return make_classifier(FEATURES, model._replace(process=model.process._replace(mean=weights)))
+    return make_classifier(FEATURES, model._replace(process=model.process._replace(kernel=kernel, mean=weights)))
 
 
 def test_the_reward_is_probability_times_saved_time(examples, classifier):
