@@ -103,11 +103,14 @@ def match_arrival(
 
 
 def sped_up(initial: FlatState, alpha: Float[Array, "k"]) -> FlatState:
-    """alpha D: the k-th derivative times alpha^k (paper eq. 8), of position and yaw; batch axis last."""
+    """alpha D: the k-th derivative times alpha^k (paper eq. 8), of position and yaw; batch axis last.
+
+    Args:
+        initial: one state for all alpha, (5, 3) and (3,), or one for each, (5, 3, k) and (3, k).
+    """
     powers = alpha ** jnp.arange(5, dtype=alpha.dtype)[:, None]
-    return FlatState(
-        derivatives=initial.derivatives[..., None] * powers[:, None], yaw=initial.yaw[:, None] * powers[:3]
-    )
+    derivatives, yaw = initial.derivatives.reshape(5, 3, -1), initial.yaw.reshape(3, -1)
+    return FlatState(derivatives=derivatives * powers[:, None], yaw=yaw * powers[:3])
 
 
 def _active(search: _Search, config: ArrivalConfig) -> Bool[Array, "k"]:

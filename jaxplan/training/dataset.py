@@ -1,7 +1,8 @@
 """The training set: labelled sequences in shards, each made from its own seed, so that a cut-off run goes on.
 
 One shard is four random rooms and some free space: sequences at rest, and sequences from states in flight on the
-fastest flights along the former. ``dataset.json`` holds what made it and the hash of every shard.
+fastest flights along the former. The latter are labelled from a second, faster or slower initial state as well, so that
+a policy can learn what that state changes. ``dataset.json`` holds what made it and the hash of every shard.
 """
 
 import dataclasses
@@ -9,6 +10,7 @@ import functools
 import hashlib
 import io
 import json
+import math
 import os
 import zipfile
 from collections.abc import Callable, Iterator
@@ -22,7 +24,14 @@ from jaxtyping import Bool, Float
 from jaxplan.errors import FileError, InputError
 from jaxplan.minsnap.batch import SplineBatch
 from jaxplan.numerics import in_float64
-from jaxplan.training.labels import LabelConfig, Queries, rollout_slowdown, rotor_limit_labels, trajectories
+from jaxplan.training.labels import (
+    LabelConfig,
+    Queries,
+    rollout_slowdown,
+    rotor_limit_labels,
+    sped_up,
+    trajectories,
+)
 from jaxplan.training.sequences import (
     Room,
     free_queries,
@@ -45,6 +54,9 @@ FREE = LANES - ROOMS * REST_IN_ROOM
 SHARD_SIZE = LANES + ROOMS * REPLAN_IN_ROOM + LANES
 HELD_OUT = 8
 """Every eighth shard, with all its rooms, is held out for tests."""
+RESPONSE = 2.0
+"""Largest factor by which initial states are sped up, or slowed down, for their second label."""
+_FLOATS = ("waypoints", "derivatives", "yaw", "durations", "slowdown", "alpha", "sped_up")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,6 +85,10 @@ class Shard(NamedTuple):
     slowdown: Float[np.ndarray, "b"]
     """Factor by which a flight must be slower for the rollout to track it; infinite where none tried was slow
     enough, NaN where none was flown."""
+    alpha: Float[np.ndarray, "b"]
+    """Factor by which the initial state is sped up for the second label."""
+    sped_up: Float[np.ndarray, "13 b"]
+    """Rotor-limit label [s] from there; zeros where there is none."""
 
 
 Labeller = Callable[[Queries], tuple[np.ndarray, np.ndarray]]
@@ -162,7 +178,7 @@ def make_shard(config: DatasetConfig, index: int, label: Labeller, fly: Flyer) -
     first = join([*rest, free_queries(rng, FREE)])
     durations, feasible = label(first)
     flights = fly(first, durations)
-    parts = [(first, durations, feasible)]
+    parts = [(first, durations, feasible, np.ones(LANES), np.zeros_like(durations))]
     moving = [_replans(room, rng, place, first, flights, feasible) for place, room in enumerate(rooms)]
     free = np.arange(ROOMS * REST_IN_ROOM, LANES)
     lanes = rng.choice(free[feasible[free]], LANES)
@@ -170,10 +186,18 @@ def make_shard(config: DatasetConfig, index: int, label: Labeller, fly: Flyer) -
     whole = join(moving)
     for begin in range(0, whole.count.shape[0], LANES):
         chunk = take(whole, np.arange(begin, begin + LANES))
-        parts.append((chunk, *label(chunk)))
-    queries, labels, found = zip(*parts, strict=True)
-    feasible = np.concatenate(found)
-    return Shard(join(list(queries)), np.concatenate(labels, axis=-1), feasible, np.full(len(feasible), np.nan))
+        alpha = np.exp(rng.uniform(-math.log(RESPONSE), math.log(RESPONSE), LANES))
+        again, possible = label(sped_up(chunk, alpha))
+        parts.append((chunk, *label(chunk), alpha, np.where(possible, again, 0.0)))
+    chunks, labels, found, alphas, second = zip(*parts, strict=True)
+    return Shard(
+        queries=join(list(chunks)),
+        durations=np.concatenate(labels, axis=-1),
+        feasible=np.concatenate(found),
+        slowdown=np.full(SHARD_SIZE, np.nan),
+        alpha=np.concatenate(alphas),
+        sped_up=np.concatenate(second, axis=-1),
+    )
 
 
 def _replans(
@@ -204,6 +228,8 @@ def write_shard(path: Path, shard: Shard) -> None:
         durations=np.asarray(shard.durations, np.float32),
         feasible=shard.feasible,
         slowdown=np.asarray(shard.slowdown, np.float32),
+        alpha=np.asarray(shard.alpha, np.float32),
+        sped_up=np.asarray(shard.sped_up, np.float32),
     )
     os.replace(temporary, path)
 
@@ -212,9 +238,10 @@ def read_shard(path: Path) -> Shard:
     """A shard of ``make_dataset``."""
     try:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
-            wide = {name: data[name].astype(float) for name in ("waypoints", "derivatives", "yaw", "durations")}
+            wide = {name: data[name].astype(float) for name in _FLOATS}
             queries = Queries(wide["waypoints"], data["count"], wide["derivatives"], wide["yaw"])
-            return Shard(queries, wide["durations"], data["feasible"], data["slowdown"].astype(float))
+            labels = wide["durations"], data["feasible"], wide["slowdown"]
+            return Shard(queries, *labels, wide["alpha"], wide["sped_up"])
     except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
         raise FileError(f"{path}: cannot be read as a shard of a training set ({error}); make it again") from error
 

@@ -31,6 +31,8 @@ from jaxplan.vehicle.params import Vehicle, load_vehicle
 
 ALPHAS = np.geomspace(0.5, 2.0, 7)
 """Factors of the initial state's speed at which the response is looked at."""
+ENOUGH = 5
+"""Of which so many must lie within the rotors' limits."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,7 +85,7 @@ def response(
 ) -> Float[np.ndarray, "b"]:
     """Correlation over ``ALPHAS`` of the policy's and the optimiser's log total times, for each sequence.
 
-    NaN where the optimiser finds no flight for one of the speeds.
+    Over those speeds from which the optimiser finds a flight; NaN where they are fewer than ``ENOUGH``.
     """
     mine, theirs = [], []
     for alpha in ALPHAS:
@@ -91,9 +93,12 @@ def response(
         durations, feasible = label(faster)
         mine.append(np.log(policy_durations(policy, faster).sum(axis=0)))
         theirs.append(np.where(feasible, np.log(np.maximum(durations.sum(axis=0), 1e-6)), np.nan))
-    a, b = (np.stack(rows) - np.mean(rows, axis=0) for rows in (mine, theirs))
+    known = np.isfinite(theirs)
+    number = np.maximum(known.sum(axis=0), 1)
+    a, b = (np.where(known, rows, 0.0) for rows in (mine, theirs))
+    a, b = (np.where(known, rows - rows.sum(axis=0) / number, 0.0) for rows in (a, b))
     spread = np.sqrt(np.sum(a**2, axis=0) * np.sum(b**2, axis=0))
-    return np.sum(a * b, axis=0) / np.where(spread > 0.0, spread, np.nan)
+    return np.sum(a * b, axis=0) / np.where((spread > 0.0) & (number >= ENOUGH), spread, np.nan)
 
 
 def _tracked(

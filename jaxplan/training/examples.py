@@ -25,6 +25,10 @@ class Examples(NamedTuple):
     count: Int[Array, "b"]
     initial: FlatState
     durations: Float[Array, "m b"]
+    alpha: Float[Array, "b"]
+    """Factor by which the initial state is sped up for the second label."""
+    sped_up: Float[Array, "m b"]
+    """Durations [s] from there; zeros where there is no second label."""
 
 
 def load_examples(folder: Path, *, held_out: bool) -> Examples:
@@ -40,7 +44,8 @@ def load_examples(folder: Path, *, held_out: bool) -> Examples:
         waypoints = shard.queries.waypoints - shard.queries.waypoints[:1]
         derivatives = np.concatenate([np.zeros_like(shard.queries.derivatives[:1]), shard.queries.derivatives])
         state = FlatState(derivatives=derivatives, yaw=shard.queries.yaw)
-        example = Examples(waypoints, shard.queries.count, state, shard.durations * slowdown)
+        labels = shard.durations * slowdown, shard.alpha, shard.sped_up * slowdown
+        example = Examples(waypoints, shard.queries.count, state, *labels)
         parts.append(lanes_of(example, good))
     if not parts:
         raise FileError(f"{folder}: has no {'held-out' if held_out else 'training'} shards; make more")
@@ -57,7 +62,11 @@ def batches(examples: Examples, size: int, seed: int, steps: Iterable[int]) -> I
         lanes = groups[which][np.searchsorted(chances[which], rng.random(size))]
         segments = (SHORT if which == 0 else MAX_WAYPOINTS) - 1
         batch = lanes_of(examples, lanes)
-        batch = batch._replace(waypoints=batch.waypoints[: segments + 1], durations=batch.durations[:segments])
+        batch = batch._replace(
+            waypoints=batch.waypoints[: segments + 1],
+            durations=batch.durations[:segments],
+            sped_up=batch.sped_up[:segments],
+        )
         yield batch, jax.random.fold_in(jax.random.key(seed), step)
 
 

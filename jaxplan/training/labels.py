@@ -80,13 +80,14 @@ def rotor_limit_labels(
 ) -> tuple[Float[Array, "m b"], Bool[Array, "b"]]:
     """Durations [s] of the fastest flights found within the rotors' limits, and whether there is one (traced).
 
-    Where the initial state itself is beyond the limits (a state sped up by alpha may be), the flight may demand as
-    much as the initial state does, not more.
+    There is none from a state that is itself beyond the limits, as one that alpha has sped up may be. From one that is
+    near them, the flight may use half of what is left.
     """
     count = queries.waypoints.shape[0] - 1
     real = jnp.arange(count)[:, None] < queries.count - 1
     durations = jnp.where(real, _first_guess(queries), 0.0)
-    threshold = jnp.minimum(config.reserve, _initial_margin(vehicle, queries) - config.reserve)
+    initial = _initial_margin(vehicle, queries)
+    threshold = jnp.minimum(config.reserve, 0.5 * initial)
 
     def inside(durations: Float[Array, "m b"]) -> Bool[Array, "b"]:
         splines = trajectories(queries, durations, config.max_yaw_rate)
@@ -98,7 +99,7 @@ def rotor_limit_labels(
         shorter, found = _shortest(inside, jnp.where(real, ratios, 0.0), config)
         better = found & ~(feasible & (jnp.sum(durations, axis=0) <= jnp.sum(shorter, axis=0)))
         durations, feasible = jnp.where(better, shorter, durations), feasible | found
-    return durations, feasible
+    return durations, feasible & (initial > 0.0)
 
 
 def rollout_slowdown(

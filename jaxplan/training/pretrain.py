@@ -1,8 +1,9 @@
 """Pretraining: imitate the optimiser's durations (paper, Sec. II-C), with a bottleneck of limited information.
 
 The error is that of the logarithms, so that short and long flights count alike: of every duration, weighted by its
-share of the flight, and of their sum. A run is a folder: ``state.msgpack`` to go on from, ``metrics.jsonl``, and the
-best weights so far.
+share of the flight, and of their sum. Where a sequence is labelled from a second initial state, it is imitated as well,
+and so is what the change of state does to the total time, in which errors that both share cancel. A run is a folder:
+``state.msgpack`` to go on from, ``metrics.jsonl``, and the best weights so far.
 """
 
 import dataclasses
@@ -18,6 +19,7 @@ import optax
 from flax import serialization
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from jaxplan.arrival import sped_up
 from jaxplan.errors import InputError
 from jaxplan.policy.features import SEGMENT_FEATURES, STATE_FEATURES
 from jaxplan.policy.network import Bottleneck, NetworkConfig, PolicyNetwork
@@ -41,6 +43,8 @@ class PretrainConfig:
     """Weight of the Kullback-Leibler divergence (as the predecessors')."""
     total_weight: float = 4.0
     """Weight of the error of the total time."""
+    response_weight: float = 8.0
+    """Weight of the error of the change of the total time with the initial state."""
     average: float = 0.999
     """Decay of the running mean of the weights, which is what is kept."""
     evaluate_every: int = 500
@@ -105,20 +109,20 @@ def build_step(config: PretrainConfig) -> Callable[[State, Examples, PRNGKeyArra
 def imitation_loss(
     network: PolicyNetwork, parameters: Any, batch: Examples, key: PRNGKeyArray, config: PretrainConfig
 ) -> Float[Array, ""]:
-    """Squared errors of the log-durations and of the log total time, and the divergence of the bottleneck."""
+    """Squared errors of the log-durations, of the log total time and its response, and the bottleneck's divergence."""
     mirror_key, latent_key = jax.random.split(key)
     batch = _mirrored(batch, mirror_key)
     frame, memory, bottleneck = read_sequences(network, parameters, batch.waypoints, batch.count)
     spread = jnp.exp(0.5 * bottleneck.log_variance)
     noise = jax.random.normal(latent_key, spread.shape, spread.dtype)
     memory = memory._replace(latent=bottleneck.mean + spread * noise)
-    durations = allocate_times(network, parameters, memory, frame, batch.initial)
-    wanted = jnp.where(memory.real, batch.durations, 0.0)
-    share = 0.5 * wanted / jnp.sum(wanted, axis=0) + 0.5 * memory.real / jnp.sum(memory.real, axis=0)
-    error = jnp.where(memory.real, _log(durations) - _log(wanted), 0.0)
-    total = _log(jnp.sum(durations, axis=0)) - _log(jnp.sum(wanted, axis=0))
-    losses = jnp.sum(share * _huber(error), axis=0) + config.total_weight * _huber(total)
-    return jnp.mean(losses) + config.divergence_weight * jnp.mean(_divergence(bottleneck))
+    first, total = _errors(allocate_times(network, parameters, memory, frame, batch.initial), batch.durations, config)
+    faster = sped_up(batch.initial, batch.alpha)
+    second, other = _errors(allocate_times(network, parameters, memory, frame, faster), batch.sped_up, config)
+    known = jnp.sum(batch.sped_up, axis=0) > 0.0
+    responses = jnp.where(known, second + config.response_weight * _huber(other - total), 0.0)
+    imitation = jnp.sum(first + responses) / jnp.sum(1.0 + known)
+    return imitation + config.divergence_weight * jnp.mean(_divergence(bottleneck))
 
 
 def pretrain(
@@ -172,6 +176,17 @@ def build_measure(config: PretrainConfig) -> Callable[[Any, Examples], Error]:
         return Error(mean, absolute, float(np.mean(list(absolute.values()))))
 
     return measure
+
+
+def _errors(
+    durations: Float[Array, "m b"], wanted: Float[Array, "m b"], config: PretrainConfig
+) -> tuple[Float[Array, "b"], Float[Array, "b"]]:
+    """Loss of each sequence, and the error of the logarithm of its total time."""
+    real = durations > 0.0
+    share = 0.5 * wanted / (jnp.sum(wanted, axis=0) + 1e-9) + 0.5 * real / jnp.sum(real, axis=0)
+    error = jnp.where(real, _log(durations) - _log(wanted), 0.0)
+    total = _log(jnp.sum(durations, axis=0)) - _log(jnp.sum(wanted, axis=0))
+    return jnp.sum(share * _huber(error), axis=0) + config.total_weight * _huber(total), total
 
 
 def _optimiser(config: PretrainConfig) -> optax.GradientTransformation:

@@ -94,6 +94,11 @@ def test_scaling_follows_the_order_of_the_derivative():
     np.testing.assert_allclose(scaled.derivatives[:, 0, 1], [1.0, 2.0, 4.0, 8.0, 16.0])
     np.testing.assert_allclose(scaled.yaw[:, 1], [1.0, 2.0, 4.0])
     np.testing.assert_allclose(scaled.derivatives[..., 0], 1.0)
+    with jax.enable_x64(True):
+        each = sped_up(scaled, jnp.array([3.0, 0.5]))
+    np.testing.assert_allclose(each.derivatives[:, 2, 0], [1.0, 3.0, 9.0, 27.0, 81.0])
+    np.testing.assert_allclose(each.derivatives[..., 1], 1.0)
+    np.testing.assert_allclose(each.yaw[..., 1], 1.0)
 
 
 def test_configuration_is_checked():

@@ -41,7 +41,8 @@ def examples():
     real = np.arange(6)[:, None] < count - 1
     durations = np.where(real, 0.3 + np.linalg.norm(np.diff(points, axis=0), axis=1) / 3.0, 0.0)
     derivatives = np.zeros((5, 3, 64))
-    return Examples(points, count, FlatState(derivatives=derivatives, yaw=np.zeros((3, 64))), durations)
+    state = FlatState(derivatives=derivatives, yaw=np.zeros((3, 64)))
+    return Examples(points, count, state, durations, np.ones(64), np.zeros_like(durations))
 
 
 @pytest.fixture(scope="module")

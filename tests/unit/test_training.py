@@ -5,13 +5,14 @@ import functools
 import json
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxplan.errors import FileError, InputError
 from jaxplan.experiment.spread import spread
 from jaxplan.numerics import in_float64
-from jaxplan.policy.network import NetworkConfig
+from jaxplan.policy.network import NetworkConfig, PolicyNetwork
 from jaxplan.spline import FlatState
 from jaxplan.training.dataset import (
     DatasetConfig,
@@ -27,9 +28,9 @@ from jaxplan.training.dataset import (
     shard_path,
     write_shard,
 )
-from jaxplan.training.examples import load_examples
+from jaxplan.training.examples import lanes_of, load_examples
 from jaxplan.training.labels import LabelConfig, Queries, rollout_slowdown
-from jaxplan.training.pretrain import PretrainConfig, pretrain, start_training
+from jaxplan.training.pretrain import PretrainConfig, imitation_loss, pretrain, start_training
 from jaxplan.training.sequences import SPEED_UP, free_queries, in_flight, join, open_room, rest_queries, take
 from jaxplan.training.worlds import SIZES, random_world
 from jaxplan.vehicle.limits import least_rotor_margin
@@ -86,9 +87,10 @@ def made_up_shard(seed, lanes=256):
     derivatives = np.zeros((4, 3, lanes))
     derivatives[0] = rng.normal(size=(3, lanes)) * 2.0
     lengths = np.linalg.norm(np.diff(queries.waypoints, axis=0), axis=1)
-    durations = lengths / 3.0 * (1.0 + 0.05 * np.linalg.norm(derivatives[0], axis=0))
-    feasible = np.ones(lanes, bool)
-    return Shard(queries._replace(derivatives=derivatives), durations, feasible, np.full(lanes, np.nan))
+    speed, alpha = np.linalg.norm(derivatives[0], axis=0), rng.uniform(0.5, 2.0, lanes)
+    durations, sped_up = (lengths / 3.0 * (1.0 + 0.05 * factor * speed) for factor in (1.0, alpha))
+    labels = durations, np.ones(lanes, bool), np.full(lanes, np.nan), alpha, sped_up
+    return Shard(queries._replace(derivatives=derivatives), *labels)
 
 
 @pytest.fixture
@@ -189,6 +191,23 @@ def test_training_learns_and_goes_on_where_it_stopped(tmp_path, data):
         pretrain(tmp_path / "part", data, dataclasses.replace(SMALL, seed=1))
 
 
+def test_the_response_is_learned_from_labels_that_are_known(data):
+    """Second labels bend the weights, and where there are none nothing of them is left."""
+    config = dataclasses.replace(SMALL, response_weight=8.0)
+    state = start_training(config)
+    network = PolicyNetwork(config.network)
+
+    def loss(examples, config):
+        return float(imitation_loss(network, state.parameters, examples, jax.random.key(0), config))
+
+    examples = jax.tree.map(jnp.asarray, lanes_of(load_examples(data, held_out=True), np.arange(64)))
+    assert loss(examples, config) > loss(examples, dataclasses.replace(config, response_weight=0.0))
+    alone = examples._replace(sped_up=jnp.zeros_like(examples.sped_up))
+    other = alone._replace(alpha=2.0 * alone.alpha)
+    assert loss(alone, config) == loss(other, config)
+    assert loss(alone, config) == loss(alone, dataclasses.replace(config, response_weight=0.0))
+
+
 def _error_of(state, data):
     from jaxplan.training.pretrain import build_measure
 
@@ -227,6 +246,8 @@ def test_labels_are_at_the_rotors_limit():
     assert np.isnan(slowdown[~feasible]).all()
     assert (slowdown[feasible] == 1.0).mean() > 0.5
     assert np.isfinite(slowdown[feasible]).mean() > 0.9
+    falling = queries._replace(derivatives=np.where(np.arange(4)[:, None, None] == 1, 60.0, 0.0) + queries.derivatives)
+    assert not label(falling)[1].any()  # no rotor reaches 6 g: there is nothing to imitate
 
 
 @pytest.mark.slow
