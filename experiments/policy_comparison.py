@@ -133,7 +133,7 @@ def _near_the_boundary(config, shard):
         flights = solve(queries, active.perturbed(durations, (0.8, 1.15), 0.05, rng))
         feasible = active.roll_out(flights, np.arange(len(queries.count)), vehicle, seed=100 * shard + draw)
         tries.append((flights.motion, feasible))
-    return Labelled(*(np.concatenate(columns) for columns in zip(*tries, strict=True)))
+    return Labelled(*(np.concatenate(columns, axis=-1) for columns in zip(*tries, strict=True)))
 
 
 def _curve(config, count, related, draw):
@@ -145,7 +145,7 @@ def _curve(config, count, related, draw):
         )
     some = np.random.default_rng([config.seed, draw]).permutation(len(seen.feasible))[:count]
     settings = ClassifierConfig(steps=config.steps, related_to_low=related, seed=draw)
-    model, _ = train_classifier(settings, Labelled(seen.motion[some], seen.feasible[some]))
+    model, _ = train_classifier(settings, Labelled(seen.motion[..., some], seen.feasible[some]))
     chance = active.judged(make_classifier(settings.features, model), unseen.motion)
     margin = np.asarray(low_fidelity(unseen.motion))
     auc, without_rollouts = (area_under_curve(score, unseen.feasible) for score in (chance, margin))

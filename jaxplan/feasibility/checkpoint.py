@@ -63,5 +63,5 @@ def classifier_card(source: str | Path) -> dict[str, Any]:
 
 def _golden(classifier: Classifier) -> Float[np.ndarray, "k"]:
     """Probabilities for eight fixed motions."""
-    motion = np.random.default_rng(7).normal(size=(8, INSTANTS, MOTION_FEATURES)).astype(np.float32)
+    motion = np.random.default_rng(7).normal(size=(8, INSTANTS, MOTION_FEATURES)).astype(np.float32).T
     return np.asarray(jax.jit(classifier.judge)(motion).probability, float)

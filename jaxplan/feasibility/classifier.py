@@ -42,7 +42,7 @@ class Model(NamedTuple):
     process: Process
     """On (z, f_low) if its kernel is ``Related``, on z alone otherwise."""
 
-    def inputs(self, config: FeatureConfig, motion: Float[Array, "n p f"]) -> Float[Array, "n d"]:
+    def inputs(self, config: FeatureConfig, motion: Float[Array, "f p n"]) -> Float[Array, "n d"]:
         """What the process sees."""
         return _inputs(config, self.network, self.process, motion)
 
@@ -67,7 +67,7 @@ class Classifier(NamedTuple):
         """Probabilities for k trajectories of a vehicle (traced; float32)."""
         return self.judge(motion_features(splines, vehicle))
 
-    def judge(self, motion: Float[Array, "k p f"]) -> Prediction:
+    def judge(self, motion: Float[Array, "f p k"]) -> Prediction:
         """Probabilities from ``motion_features``."""
         mean, variance = predict(self.posterior, _inputs(self.config, self.network, self.posterior, motion))
         return Prediction(probability(mean, variance), jnp.sqrt(variance))
@@ -80,7 +80,7 @@ def new_model(config: FeatureConfig, inducing: int, seed: int, *, related_to_low
         related_to_low: whether the process sees the low fidelity.
     """
     keys = jax.random.split(jax.random.key(seed), 2)
-    network = FeatureNetwork(config).init(keys[0], jnp.zeros((1, INSTANTS, MOTION_FEATURES), jnp.float32))
+    network = FeatureNetwork(config).init(keys[0], jnp.zeros((MOTION_FEATURES, INSTANTS, 1), jnp.float32))
     width, length = config.latent, float(np.sqrt(config.latent))
     kernel = related(width, length) if related_to_low else rbf(width, length)
     dimensions = width + 1 if related_to_low else width
@@ -94,7 +94,7 @@ def make_classifier(config: FeatureConfig, model: Model) -> Classifier:
 
 
 def _inputs(
-    config: FeatureConfig, network: Any, process: Process | Posterior, motion: Float[Array, "n p f"]
+    config: FeatureConfig, network: Any, process: Process | Posterior, motion: Float[Array, "f p n"]
 ) -> Float[Array, "n d"]:
     features = FeatureNetwork(config).apply(network, motion)
     if not isinstance(process.kernel, Related):

@@ -42,7 +42,7 @@ class FeatureConfig:
                 raise InputError(f"features: {name} is {getattr(self, name)}, want 1 to 1024")
 
 
-def motion_features(splines: SplineBatch, vehicle: Vehicle) -> Float[Array, "k p f"]:
+def motion_features(splines: SplineBatch, vehicle: Vehicle) -> Float[Array, "f p k"]:
     """Features of ``INSTANTS`` instants of each of k trajectories, compressed to the order of 1 (float32)."""
     states = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), splines).states(INSTANTS)
     margins = jax.vmap(jax.vmap(lambda state: thrust_limit_margin(vehicle, state), in_axes=-1, out_axes=-1))(states)
@@ -69,12 +69,12 @@ def motion_features(splines: SplineBatch, vehicle: Vehicle) -> Float[Array, "k p
         jnp.log(jnp.maximum(total, 1e-3)) * jnp.ones_like(thrust),
         _compressed(5.0 * margins),
     ]
-    return jnp.moveaxis(jnp.stack(features), (0, 1, 2), (2, 1, 0))
+    return jnp.stack(features)
 
 
-def low_fidelity(motion: Float[Array, "k p f"]) -> Float[Array, "k"]:
+def low_fidelity(motion: Float[Array, "f p k"]) -> Float[Array, "k"]:
     """The least margin to the rotors' limits over each trajectory: negative where one would have to exceed them."""
-    return jnp.min(motion[..., MARGIN], axis=1)
+    return jnp.min(motion[MARGIN], axis=0)
 
 
 class FeatureNetwork(nn.Module):
@@ -83,14 +83,26 @@ class FeatureNetwork(nn.Module):
     config: FeatureConfig
 
     @nn.compact
-    def __call__(self, motion: Float[Array, "k p f"]) -> Float[Array, "k z"]:
-        motion = motion[..., :MARGIN]
-        seen = nn.relu(nn.Dense(self.config.width)(_with_neighbours(motion)))
-        seen = nn.relu(nn.Dense(self.config.width)(_with_neighbours(seen)))
-        whole = jnp.concatenate([jnp.max(seen, axis=1), jnp.mean(seen, axis=1), motion[:, 0, -1:]], axis=1)
-        whole = nn.relu(nn.Dense(self.config.width)(whole))
-        found = nn.Dense(self.config.latent)(whole)
+    def __call__(self, motion: Float[Array, "f p k"]) -> Float[Array, "k z"]:
+        motion = motion[:MARGIN]
+        seen = nn.relu(Dense(self.config.width)(_with_neighbours(motion)))
+        seen = nn.relu(Dense(self.config.width)(_with_neighbours(seen)))
+        whole = jnp.concatenate([jnp.max(seen, axis=1), jnp.mean(seen, axis=1), motion[-1:, 0]])
+        whole = nn.relu(Dense(self.config.width)(whole))
+        found = Dense(self.config.latent)(whole).T
         return 3.0 * found / (1.0 + jnp.abs(found))
+
+
+class Dense(nn.Module):
+    """A layer over the first axis, so that the batch stays last and contiguous."""
+
+    width: int
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "i *p k"]) -> Float[Array, "o *p k"]:
+        kernel = self.param("kernel", nn.initializers.lecun_normal(), (x.shape[0], self.width), jnp.float32)
+        bias = self.param("bias", nn.initializers.zeros, (self.width,), jnp.float32)
+        return jnp.tensordot(kernel, x, axes=(0, 0)) + bias.reshape(-1, *[1] * (x.ndim - 1))
 
 
 def _compressed(x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
@@ -99,7 +111,7 @@ def _compressed(x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     return x / (root * jnp.sqrt(root))
 
 
-def _with_neighbours(x: Float[Array, "k p f"]) -> Float[Array, "k p 3f"]:
+def _with_neighbours(x: Float[Array, "f p k"]) -> Float[Array, "3f p k"]:
     before = jnp.concatenate([x[:, :1], x[:, :-1]], axis=1)
     after = jnp.concatenate([x[:, 1:], x[:, -1:]], axis=1)
-    return jnp.concatenate([before, x, after], axis=-1)
+    return jnp.concatenate([before, x, after])

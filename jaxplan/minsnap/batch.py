@@ -1,5 +1,7 @@
 """A batch of splines in the solver's own layout (batch axis last), from waypoints and durations to samples."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -35,12 +37,19 @@ class SplineBatch:
 
     def states(self, count: int) -> FlatState:
         """Flat states (count, 5, 3, k) at instants evenly spread over each spline's own duration, ends included."""
-
-        def one(durations: Array, position: Array, yaw: Array) -> FlatState:
-            spline = PiecewisePolynomial(durations=durations, position=position, yaw=yaw[:, :, 0])
-            return spline.state(jnp.linspace(0.0, 1.0, count, dtype=durations.dtype) * spline.duration)
-
-        return jax.vmap(one, in_axes=-1, out_axes=-1)(self.durations, self.position, self.yaw)
+        ends = jnp.cumsum(self.durations, axis=0)
+        times = jnp.linspace(0.0, 1.0, count, dtype=ends.dtype)[:, None] * jnp.sum(self.durations, axis=0)
+        last = jnp.maximum(jnp.sum(self.durations > 0.0, axis=0) - 1, 0)
+        segment = jnp.minimum(jnp.sum(times[:, None] >= ends, axis=1), last)
+        duration = jnp.take_along_axis(self.durations, segment, axis=0)
+        duration = jnp.where(duration > 0.0, duration, 1.0)
+        begun = jnp.take_along_axis(ends - self.durations, segment, axis=0)
+        s = jnp.clip((times - begun) / duration, 0.0, 1.0)[:, None]
+        position = jnp.take_along_axis(self.position, segment[:, None, None], axis=0)
+        yaw = jnp.take_along_axis(self.yaw[:, :, 0], segment[:, None], axis=0)[:, :, None]
+        rows = [_horner(position, s, duration[:, None], derivative) for derivative in range(5)]
+        turns = [_horner(yaw, s, duration[:, None], derivative)[:, 0] for derivative in range(3)]
+        return FlatState(derivatives=jnp.stack(rows, axis=1), yaw=jnp.stack(turns, axis=1))
 
     def derivatives(self, s: np.ndarray) -> Float[Array, "m s 5 3 k"]:
         """Position to snap at the normalised times ``s`` of every segment; derivatives are 0 on padding."""
@@ -86,6 +95,16 @@ def fit_each(
     headings = _headings(states.yaw[0], knots[:, 0, :2], durations, max_yaw_rate)
     yaw, _ = interpolate(durations, headings[:, None], states.yaw[1:, None])
     return SplineBatch(durations=durations, position=position, yaw=yaw)
+
+
+def _horner(
+    coefficients: Float[Array, "p n c k"], s: Float[Array, "p 1 k"], duration: Float[Array, "p 1 k"], derivative: int
+) -> Float[Array, "p c k"]:
+    """Value of the ``derivative``-th time derivative of ascending polynomials in normalised time."""
+    value = jnp.zeros_like(coefficients[:, 0])
+    for power in range(coefficients.shape[1] - 1, derivative - 1, -1):
+        value = value * s + math.perm(power, derivative) * coefficients[:, power]
+    return value / duration**derivative
 
 
 def _headings(

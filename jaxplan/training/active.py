@@ -35,7 +35,7 @@ class Flights(NamedTuple):
     """Solved flights and what the classifier sees of them."""
 
     splines: SplineBatch
-    motion: Float[np.ndarray, "n p f"]
+    motion: Float[np.ndarray, "f p n"]
 
 
 Solve = Callable[[Queries, Float[np.ndarray, "m n"]], Flights]
@@ -51,9 +51,8 @@ def build_solve(vehicle: Vehicle, labels: LabelConfig) -> Solve:
         for begin in range(0, size, LANES):
             lanes = np.minimum(np.arange(begin, begin + LANES), size - 1)
             splines = fly(take(queries, lanes), durations[:, lanes])
-            parts.append((splines, np.moveaxis(np.asarray(look(splines, vehicle)), 0, -1)))
-        joined = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1)[..., :size], *parts)
-        return Flights(joined[0], np.moveaxis(joined[1], -1, 0))
+            parts.append(Flights(splines, np.asarray(look(splines, vehicle))))
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1)[..., :size], *parts)
 
     return solve
 
@@ -79,11 +78,11 @@ def least_certain(probability: Float[np.ndarray, "n"], count: int) -> Int[np.nda
     return np.argsort(-ratio, kind="stable")[:count]
 
 
-def judged(classifier: Classifier, motion: Float[np.ndarray, "n p f"]) -> Float[np.ndarray, "n"]:
+def judged(classifier: Classifier, motion: Float[np.ndarray, "f p n"]) -> Float[np.ndarray, "n"]:
     """Probabilities of many flights (host)."""
-    size = len(motion)
+    size = motion.shape[-1]
     filled = np.resize(np.arange(size), -(-size // LANES) * LANES)
-    parts = [_judge(classifier, jnp.asarray(motion[lanes])) for lanes in np.split(filled, len(filled) // LANES)]
+    parts = [_judge(classifier, jnp.asarray(motion[..., lanes])) for lanes in np.split(filled, len(filled) // LANES)]
     return np.concatenate([np.asarray(part) for part in parts])[:size]
 
 
@@ -91,11 +90,11 @@ _judge = jax.jit(lambda classifier, motion: classifier.judge(motion).probability
 
 
 def latents(
-    config: FeatureConfig, model: Model, motion: Float[np.ndarray, "n p f"]
+    config: FeatureConfig, model: Model, motion: Float[np.ndarray, "f p n"]
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Mean and variance of the latent function for many flights (host)."""
     find = jax.jit(lambda some: marginals(model.process, model.inputs(config, some)))
-    parts = [find(jnp.asarray(part)) for part in np.array_split(motion, -(-len(motion) // LANES))]
+    parts = [find(jnp.asarray(part)) for part in np.array_split(motion, -(-motion.shape[-1] // LANES), axis=-1)]
     return tuple(np.concatenate(leaves) for leaves in zip(*parts, strict=True))  # type: ignore[return-value]
 
 
@@ -116,4 +115,4 @@ def load_labels(paths: list[Path]) -> Labelled:
                 rounds.append(Labelled(data["motion"], data["feasible"]))
         except (OSError, KeyError, ValueError) as error:
             raise FileError(f"{path}: is not a round of labels ({error}); remove it to make it again") from error
-    return Labelled(*(np.concatenate(column) for column in zip(*rounds, strict=True)))
+    return Labelled(*(np.concatenate(column, axis=-1) for column in zip(*rounds, strict=True)))

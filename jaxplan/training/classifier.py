@@ -45,7 +45,7 @@ class ClassifierConfig:
 class Labelled(NamedTuple):
     """Trajectories, by their ``motion_features``, that a rollout has tracked or not."""
 
-    motion: Float[Array, "n p f"]
+    motion: Float[Array, "f p n"]
     feasible: Bool[Array, "n"]
 
 
@@ -110,7 +110,7 @@ def _build_advance(config: ClassifierConfig) -> Callable[..., tuple[_State, Arra
 
 def _draw(labelled: Labelled, count: int, rng: np.random.Generator) -> Labelled:
     lanes = rng.integers(len(labelled.feasible), size=count)
-    return Labelled(labelled.motion[lanes], labelled.feasible[lanes])
+    return Labelled(labelled.motion[..., lanes], labelled.feasible[lanes])
 
 
 def _optimiser(config: ClassifierConfig) -> optax.GradientTransformation:

@@ -144,9 +144,9 @@ def score_classifier(
     tried = perturbed(policy_durations(policy, held.queries), (0.8, 1.15), 0.05, rng)
     splines = build_flights(made.labels)(held.queries, tried)
     motion = np.asarray(in_float64(jax.jit(motion_features))(splines, vehicle))
-    feasible = np.asarray(track(splines, vehicle=vehicle, indices=10**6 + np.arange(len(motion))).feasible)
+    feasible = np.asarray(track(splines, vehicle=vehicle, indices=10**6 + np.arange(len(tried.T))).feasible)
     scores = binary_scores(judged(classifier, motion), feasible)
-    return {"flights": len(motion), "tracked": float(feasible.mean()), **scores}
+    return {"flights": len(feasible), "tracked": float(feasible.mean()), **scores}
 
 
 class HeldOut(NamedTuple):

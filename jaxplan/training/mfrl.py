@@ -153,7 +153,7 @@ def _label(folder: Path, index: int, run: Run, airfield: _Airfield) -> dict[str,
     chosen = np.arange(0) if first else len(unbiased) + active.least_certain(believed[len(unbiased) :], config.chosen)
     lanes = np.concatenate([unbiased, chosen])
     feasible = active.roll_out(flights, lanes, airfield.vehicle, seed=config.seed + index)
-    active.save_labels(_labels_of(folder, index), Labelled(flights.motion[lanes], feasible))
+    active.save_labels(_labels_of(folder, index), Labelled(flights.motion[..., lanes], feasible))
     scores = binary_scores(believed[unbiased], feasible[: len(unbiased)])
     return {"tracked_at_random": float(feasible[: len(unbiased)].mean()), "rollouts": len(lanes), **scores}
 

@@ -163,7 +163,7 @@ def test_features_do_not_change_when_a_flight_is_moved_or_turned():
     rotated = np.einsum("ij,njk->nik", turn, derivatives)
     rotated[0] = moved[0]
     there = features_of(moved, rotated, turned, durations)
-    assert here.shape == (6, INSTANTS, MOTION_FEATURES)
+    assert here.shape == (MOTION_FEATURES, INSTANTS, 6)
     np.testing.assert_allclose(here, there, atol=2e-3)
     assert np.abs(here - features_of(points, derivatives, yaw, 0.8 * durations)).max() > 0.1
 
@@ -182,16 +182,16 @@ def test_the_low_fidelity_is_the_least_margin_and_the_network_does_not_see_it():
     np.testing.assert_array_equal(low >= 0.0, speeds >= 0.0)
     network = FeatureNetwork(SMALL)
     weights, other = network.init(jax.random.key(0), jnp.asarray(motion)), motion.copy()
-    other[..., MARGIN] = 7.0
+    other[MARGIN] = 7.0
     np.testing.assert_array_equal(network.apply(weights, motion), network.apply(weights, other))
 
 
 def learnable(count, seed):
     """Motions whose label is the least margin with noise, which the other features do not tell."""
     rng = np.random.default_rng(seed)
-    motion = rng.normal(size=(count, INSTANTS, MOTION_FEATURES)).astype(np.float32)
-    motion[..., MARGIN] += 1.5 * rng.normal(size=(count, 1)).astype(np.float32)
-    least = motion[..., MARGIN].min(axis=1)
+    motion = rng.normal(size=(MOTION_FEATURES, INSTANTS, count)).astype(np.float32)
+    motion[MARGIN] += 1.5 * rng.normal(size=count).astype(np.float32)
+    least = motion[MARGIN].min(axis=0)
     return Labelled(motion, least + 0.2 * rng.normal(size=count) > np.median(least))
 
 

@@ -57,6 +57,24 @@ def test_every_lane_equals_the_single_solver(terminal, fixed_order):
         np.testing.assert_allclose(spline.yaw, alone.yaw, atol=1e-8 * np.abs(alone.yaw).max())
 
 
+def test_states_of_a_batch_are_those_of_each_spline_from_start_to_end():
+    waypoints, durations, initial = random_batch(lanes=4)
+    solved = jaxplan.minimum_snap_batch(
+        waypoints, durations, initial=initial, yaw=np.random.default_rng(8).normal(size=(SEGMENTS + 1, 4))
+    )
+    with jax.enable_x64(True):
+        states = solved.splines.states(23)
+    for lane in range(4):
+        spline = solved.splines.spline(lane)
+        alone = spline.state(np.linspace(0.0, 1.0, 23) * spline.duration)
+        for order in range(5):
+            scale = np.abs(alone.derivatives[:, order]).max()
+            np.testing.assert_allclose(
+                states.derivatives[:, order, :, lane], alone.derivatives[:, order], atol=1e-9 * scale
+            )
+        np.testing.assert_allclose(states.yaw[..., lane], alone.yaw, atol=1e-9 * np.abs(alone.yaw).max())
+
+
 def test_gradient_of_the_cost_equals_the_exact_one(x64):
     rng = np.random.default_rng(1)
     waypoints, durations = rng.uniform(0, 5, (4, 3)), np.array([0.7, 1.3, 0.9])
