@@ -59,8 +59,10 @@ def pretrain(
     hidden: int = 64,
     attention: int = 32,
     latent: int = 32,
+    start: str | None = None,
     steps: int = 30_000,
     batch: int = 512,
+    learning_rate: float = 3e-3,
     flights: int = 2_000,
     seed: int = 0,
     debug: bool = False,
@@ -81,10 +83,14 @@ def pretrain(
         Width of its keys, queries and values.
     latent
         Width of its bottleneck.
+    start
+        Policy to go on from, by name or file; its sizes are kept. Default: random weights.
     steps
         Gradient steps at most.
     batch
         Sequences of each step.
+    learning_rate
+        At its highest, after a warm-up; a cosine follows.
     flights
         Held-out sequences that are flown for the scores.
     seed
@@ -94,7 +100,7 @@ def pretrain(
     """
     require_supported_jax()
     from jaxplan.errors import InputError
-    from jaxplan.policy.checkpoint import load_policy, save_policy
+    from jaxplan.policy.checkpoint import load_parameters, load_policy, policy_card, resolve_policy, save_policy
     from jaxplan.policy.network import NetworkConfig
     from jaxplan.training.dataset import digest, read_config
     from jaxplan.training.evaluate import score_policy
@@ -103,13 +109,20 @@ def pretrain(
 
     if out.suffix != ".npz" or not out.parent.is_dir():
         raise InputError(f"train pretrain: have --out {out}, want a .npz file in a folder that exists; correct it")
-    network = NetworkConfig(hidden=hidden, attention=attention, latent=latent)
-    config = PretrainConfig(network=network, steps=steps, batch=batch, seed=seed)
-    state, error = train(run, data, config)
-    options = {"hidden": hidden, "attention": attention, "latent": latent, "steps": steps, "batch": batch, "seed": seed}
+    network, parameters = NetworkConfig(hidden=hidden, attention=attention, latent=latent), None
+    options: dict[str, object] = {"hidden": hidden, "attention": attention, "latent": latent}
+    origin = None
+    if start is not None:
+        network, parameters = load_parameters(start)
+        options = {"start": start}
+        origin = {"sha256": digest(resolve_policy(start)[0]), **policy_card(start)}
+    config = PretrainConfig(network=network, steps=steps, batch=batch, learning_rate=learning_rate, seed=seed)
+    state, error = train(run, data, config, start=parameters)
+    options |= {"steps": steps, "batch": batch, "learning-rate": learning_rate, "seed": seed}
     card = {
         "command": "jaxplan train pretrain " + " ".join(f"--{key} {value}" for key, value in options.items()),
         "config": dataclasses.asdict(config),
+        "start": origin,
         "data": {"sha256": digest(data / "dataset.json"), **dataclasses.asdict(read_config(data))},
         "steps_taken": int(state.step),
         "held_out_error_of_total_time": error.overall,

@@ -80,12 +80,12 @@ class Error(NamedTuple):
     """Mean magnitude over all lengths, each counted alike."""
 
 
-def start_training(config: PretrainConfig) -> State:
-    """Fresh weights."""
+def start_training(config: PretrainConfig, start: Any = None) -> State:
+    """Begin with weights ``start``, or with random ones."""
     network = PolicyNetwork(config.network)
     shapes = (MAX_WAYPOINTS - 1, SEGMENT_FEATURES, 2), (MAX_WAYPOINTS - 1, 2), (STATE_FEATURES, 2)
     features, real, state = (jnp.ones(shape, jnp.float32) for shape in shapes)
-    parameters = network.init(jax.random.key(config.seed), features, real > 0.0, state)
+    parameters = start or network.init(jax.random.key(config.seed), features, real > 0.0, state)
     optimiser = _optimiser(config).init(parameters)
     return State(parameters, parameters, optimiser, jnp.int32(0))
 
@@ -126,11 +126,15 @@ def imitation_loss(
 
 
 def pretrain(
-    folder: Path, data: Path, config: PretrainConfig, report: Callable[[str], None] = print
+    folder: Path, data: Path, config: PretrainConfig, report: Callable[[str], None] = print, start: Any = None
 ) -> tuple[State, Error]:
-    """Train until the end or until nothing improves; goes on where ``folder`` was left."""
+    """Train until the end or until nothing improves; goes on where ``folder`` was left.
+
+    Args:
+        start: weights that a new run begins with; random ones by default.
+    """
     training, held_out = load_examples(data, held_out=False), load_examples(data, held_out=True)
-    state, best, stale = _resume(folder, config)
+    state, best, stale = _resume(folder, config, start)
     advance = build_step(config)
     measure = build_measure(config)
     for batch, key in batches(training, config.batch, config.seed, range(int(state.step), config.steps)):
@@ -197,11 +201,11 @@ def _optimiser(config: PretrainConfig) -> optax.GradientTransformation:
     return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(rate, weight_decay=1e-5))
 
 
-def _resume(folder: Path, config: PretrainConfig) -> tuple[State, float, int]:
+def _resume(folder: Path, config: PretrainConfig, start: Any) -> tuple[State, float, int]:
     """The run in ``folder``, or a new one."""
     claim(folder, config)
     saved = folder / "state.msgpack"
-    fresh = start_training(config)
+    fresh = start_training(config, start)
     if not saved.exists():
         return fresh, np.inf, 0
     fields, best, stale = serialization.from_bytes((fresh._asdict(), 0.0, 0), saved.read_bytes())

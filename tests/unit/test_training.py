@@ -191,6 +191,14 @@ def test_training_learns_and_goes_on_where_it_stopped(tmp_path, data):
         pretrain(tmp_path / "part", data, dataclasses.replace(SMALL, seed=1))
 
 
+def test_training_goes_on_from_given_weights(tmp_path, data):
+    first, error = pretrain(tmp_path / "first", data, SMALL, report=lambda text: None)
+    gentle = dataclasses.replace(SMALL, learning_rate=1e-4)
+    second, further = pretrain(tmp_path / "second", data, gentle, report=lambda text: None, start=first.averaged)
+    assert further.overall < 1.05 * error.overall
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=0.01), first.averaged, second.averaged)
+
+
 def test_the_response_is_learned_from_labels_that_are_known(data):
     """Second labels bend the weights, and where there are none nothing of them is left."""
     config = dataclasses.replace(SMALL, response_weight=8.0)
