@@ -14,9 +14,9 @@ from jaxtyping import Array, Float
 
 from jaxplan.errors import InputError
 from jaxplan.minsnap.batch import SplineBatch
-from jaxplan.numerics import safe_norm
 from jaxplan.vehicle.limits import thrust_limit_margin
 from jaxplan.vehicle.params import Vehicle
+from jaxplan.vehicle.vectors import dot, length
 
 INSTANTS = 32
 MOTION_FEATURES = 12
@@ -45,20 +45,20 @@ class FeatureConfig:
 def motion_features(splines: SplineBatch, vehicle: Vehicle) -> Float[Array, "f p k"]:
     """Features of ``INSTANTS`` instants of each of k trajectories, compressed to the order of 1 (float32)."""
     states = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), splines).states(INSTANTS)
-    margins = jax.vmap(jax.vmap(lambda state: thrust_limit_margin(vehicle, state), in_axes=-1, out_axes=-1))(states)
-    velocity, acceleration, jerk, snap = (states.derivatives[:, n] for n in range(1, 5))  # (p, 3, k)
-    yaw_rate, yaw_acceleration = states.yaw[:, 1], states.yaw[:, 2]
-    force = acceleration + jnp.array([0.0, 0.0, GRAVITY], jnp.float32)[:, None]
-    thrust = safe_norm(force, axis=1)
-    up = force / jnp.maximum(thrust, LEAST_THRUST)[:, None]
-    climb, along, along_snap = (jnp.sum(vector * up, axis=1) for vector in (velocity, jerk, snap))
-    turning = safe_norm(jerk - along[:, None] * up, axis=1) / jnp.maximum(thrust, LEAST_THRUST)
-    twisting = safe_norm(snap - along_snap[:, None] * up, axis=1) / jnp.maximum(thrust, LEAST_THRUST)
+    _, velocity, acceleration, jerk, snap = states.derivatives  # (3, p, k)
+    _, yaw_rate, yaw_acceleration = states.yaw
+    force = (acceleration[0], acceleration[1], acceleration[2] + GRAVITY)
+    thrust = length(force)
+    share = 1.0 / jnp.maximum(thrust, LEAST_THRUST)
+    up = [share * entry for entry in force]
+    climb, along, along_snap = (dot(vector, up) for vector in (velocity, jerk, snap))
+    turning = share * length([jerk[axis] - along * up[axis] for axis in range(3)])
+    twisting = share * length([snap[axis] - along_snap * up[axis] for axis in range(3)])
     total = jnp.sum(splines.durations, axis=0).astype(jnp.float32)
     features = [
         jnp.log((thrust + 0.1) / GRAVITY),
-        up[:, 2],
-        _compressed(0.5 * safe_norm(velocity, axis=1)),
+        up[2],
+        _compressed(0.5 * length(velocity)),
         _compressed(0.5 * climb),
         _compressed(0.1 * along),
         _compressed(turning),
@@ -67,7 +67,7 @@ def motion_features(splines: SplineBatch, vehicle: Vehicle) -> Float[Array, "f p
         _compressed(yaw_rate),
         _compressed(0.3 * yaw_acceleration),
         jnp.log(jnp.maximum(total, 1e-3)) * jnp.ones_like(thrust),
-        _compressed(5.0 * margins),
+        _compressed(5.0 * thrust_limit_margin(vehicle, states)),
     ]
     return jnp.stack(features)
 

@@ -36,7 +36,10 @@ class SplineBatch:
         )
 
     def states(self, count: int) -> FlatState:
-        """Flat states (count, 5, 3, k) at instants evenly spread over each spline's own duration, ends included."""
+        """Flat states at instants evenly spread over each spline's own duration, ends included.
+
+        Shapes (5, 3, count, k) and (3, count, k).
+        """
         ends = jnp.cumsum(self.durations, axis=0)
         times = jnp.linspace(0.0, 1.0, count, dtype=ends.dtype)[:, None] * jnp.sum(self.durations, axis=0)
         last = jnp.maximum(jnp.sum(self.durations > 0.0, axis=0) - 1, 0)
@@ -44,12 +47,12 @@ class SplineBatch:
         duration = jnp.take_along_axis(self.durations, segment, axis=0)
         duration = jnp.where(duration > 0.0, duration, 1.0)
         begun = jnp.take_along_axis(ends - self.durations, segment, axis=0)
-        s = jnp.clip((times - begun) / duration, 0.0, 1.0)[:, None]
-        position = jnp.take_along_axis(self.position, segment[:, None, None], axis=0)
-        yaw = jnp.take_along_axis(self.yaw[:, :, 0], segment[:, None], axis=0)[:, :, None]
-        rows = [_horner(position, s, duration[:, None], derivative) for derivative in range(5)]
-        turns = [_horner(yaw, s, duration[:, None], derivative)[:, 0] for derivative in range(3)]
-        return FlatState(derivatives=jnp.stack(rows, axis=1), yaw=jnp.stack(turns, axis=1))
+        s = jnp.clip((times - begun) / duration, 0.0, 1.0)
+        position = jnp.take_along_axis(jnp.moveaxis(self.position, 0, 2), segment[None, None], axis=2)
+        yaw = jnp.take_along_axis(jnp.moveaxis(self.yaw[:, :, 0], 0, 1), segment[None], axis=1)
+        rows = [_horner(position, s, duration, derivative) for derivative in range(5)]
+        turns = [_horner(yaw, s, duration, derivative) for derivative in range(3)]
+        return FlatState(derivatives=jnp.stack(rows), yaw=jnp.stack(turns))
 
     def derivatives(self, s: np.ndarray) -> Float[Array, "m s 5 3 k"]:
         """Position to snap at the normalised times ``s`` of every segment; derivatives are 0 on padding."""
@@ -98,12 +101,12 @@ def fit_each(
 
 
 def _horner(
-    coefficients: Float[Array, "p n c k"], s: Float[Array, "p 1 k"], duration: Float[Array, "p 1 k"], derivative: int
-) -> Float[Array, "p c k"]:
+    coefficients: Float[Array, "n *c p k"], s: Float[Array, "p k"], duration: Float[Array, "p k"], derivative: int
+) -> Float[Array, "*c p k"]:
     """Value of the ``derivative``-th time derivative of ascending polynomials in normalised time."""
-    value = jnp.zeros_like(coefficients[:, 0])
-    for power in range(coefficients.shape[1] - 1, derivative - 1, -1):
-        value = value * s + math.perm(power, derivative) * coefficients[:, power]
+    value = jnp.zeros_like(coefficients[0])
+    for power in range(coefficients.shape[0] - 1, derivative - 1, -1):
+        value = value * s + math.perm(power, derivative) * coefficients[power]
     return value / duration**derivative
 
 

@@ -35,8 +35,8 @@ def least_margin(
     if yaw is not None:
         heading, _ = interpolate(durations, yaw[:, None], jnp.zeros((YAW_ORDER, 1, yaw.shape[-1]), yaw.dtype))
     states = SplineBatch(durations=durations, position=position, yaw=heading).states(instants)
-    one = jax.vmap(margin, in_axes=-1, out_axes=-1)
-    return jnp.min(jax.vmap(one)(states), axis=0)
+    each = jax.vmap(jax.vmap(margin, in_axes=-1, out_axes=-1), in_axes=-1, out_axes=-1)
+    return jnp.min(each(states), axis=0)
 
 
 def shortest_alternated(

@@ -20,7 +20,10 @@ SHORTEST = 0.05
 UNITS = (2.0, 4.0, 12.0, 50.0)
 """m/s, m/s^2, m/s^3, m/s^4 around which velocity to snap go over from linear to logarithmic (arbitrary)."""
 SEGMENT_FEATURES = 10
-STATE_FEATURES = 22
+STATE_FEATURES = 38
+GRAVITY = 9.81
+LEAST_THRUST = 0.5
+"""Specific thrust [m/s^2] below which its direction counts as changing no faster (arbitrary)."""
 
 
 class Frame(NamedTuple):
@@ -32,6 +35,10 @@ class Frame(NamedTuple):
     """(path length / mean speed) / segments [s]: the unit of the network's durations."""
     first: Float[Array, "3 k"]
     """Unit vector of the first step, in the frame."""
+    second: Float[Array, "3 k"]
+    """Unit vector of the second step, 0 where there is none."""
+    step: Float[Array, "k"]
+    """Length of the first step [m]."""
     length: Float[Array, "k"]
     """Length of the path [m]."""
 
@@ -50,6 +57,8 @@ def sequence_frame(waypoints: Float[Array, "n 3 k"], count: Int[Array, "k"]) -> 
         sin=sin,
         nominal=length / MEAN_SPEED / jnp.maximum(count - 1, 1),
         first=safe_divide(turned(steps[0], cos, sin), lengths[0]),
+        second=safe_divide(turned(steps[1], cos, sin), lengths[1]) if len(steps) > 1 else jnp.zeros_like(steps[0]),
+        step=lengths[0],
         length=length,
     )
 
@@ -85,17 +94,51 @@ def segment_features(
 
 
 def state_features(initial: FlatState, frame: Frame) -> Float[Array, "f k"]:
-    """What the decoder sees of the initial velocity to snap and of the yaw [SI, world]; batch axis last."""
+    """What the decoder sees of the initial velocity to snap and of the yaw [SI, world]; batch axis last.
+
+    Besides the derivatives themselves, what they are along the first two steps, how far the vehicle needs to stop, and
+    what thrust and turning they demand: products that a small network would have to learn.
+    """
     own = turned(initial.derivatives[1:], frame.cos, frame.sin)
     sizes = safe_norm(own, axis=1)
     units = jnp.asarray(UNITS, own.dtype)[:, None]
     compressed = jnp.arcsinh(sizes / units)
     vectors = safe_divide(own, sizes[:, None]) * compressed[:, None]
-    along = jnp.sum(own[0] * frame.first, axis=0)
-    stopping = sizes[0] ** 2 / (10.0 * frame.length)
-    scalars = [compressed[0], jnp.arcsinh(along / UNITS[0]), jnp.arcsinh(stopping), jnp.log(frame.length)]
-    scalars += [safe_divide(along, sizes[0]), compressed[1]]
+    along, beyond = (jnp.sum(own * step, axis=1) for step in (frame.first, frame.second))
     cos, sin = jnp.cos(initial.yaw[0]), jnp.sin(initial.yaw[0])
-    scalars += [frame.cos * cos + frame.sin * sin, frame.cos * sin - frame.sin * cos]
-    scalars += [jnp.arcsinh(initial.yaw[1]), jnp.arcsinh(0.5 * initial.yaw[2])]
-    return jnp.concatenate([vectors.reshape(12, -1), jnp.stack(scalars)])
+    facing = frame.cos * cos + frame.sin * sin, frame.cos * sin - frame.sin * cos
+    scalars = [
+        compressed[0],
+        compressed[1],
+        safe_divide(along[0], sizes[0]),
+        jnp.arcsinh(sizes[0] ** 2 / (10.0 * frame.length)),
+        jnp.log(frame.length),
+        *facing,
+        jnp.arcsinh(initial.yaw[1]),
+        jnp.arcsinh(0.5 * initial.yaw[2]),
+        jnp.arcsinh(sizes[0] ** 2 / (10.0 * frame.step + SHORTEST)),
+        jnp.log(frame.step + SHORTEST),
+        frame.first[0] * facing[0] + frame.first[1] * facing[1],
+        frame.first[0] * facing[1] - frame.first[1] * facing[0],
+        *_thrust_features(own),
+    ]
+    return jnp.concatenate(
+        [vectors.reshape(12, -1), jnp.arcsinh(along / units), jnp.arcsinh(beyond / units), jnp.stack(scalars)]
+    )
+
+
+def _thrust_features(own: Float[Array, "4 3 k"]) -> list[Float[Array, "k"]]:
+    """Size and tilt of the initial specific thrust, and how fast its size and direction change."""
+    force = own[1].at[2].add(GRAVITY)
+    thrust = safe_norm(force, axis=0)
+    up = force / jnp.maximum(thrust, LEAST_THRUST)
+    change, change_of_change = (jnp.sum(vector * up, axis=0) for vector in own[2:])
+    turning = safe_norm(own[2] - change * up, axis=0) / jnp.maximum(thrust, LEAST_THRUST)
+    twisting = safe_norm(own[3] - change_of_change * up, axis=0) / jnp.maximum(thrust, LEAST_THRUST)
+    return [
+        jnp.log((thrust + 0.1) / GRAVITY),
+        up[2],
+        jnp.arcsinh(turning),
+        jnp.arcsinh(0.1 * twisting),
+        jnp.arcsinh(0.1 * change),
+    ]

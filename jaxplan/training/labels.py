@@ -136,8 +136,7 @@ def _first_guess(queries: Queries) -> Float[Array, "m b"]:
 
 
 def _initial_margin(vehicle: Vehicle, queries: Queries) -> Float[Array, "b"]:
-    margin = jax.vmap(lambda state: rotor_limit_margin(vehicle, state), in_axes=-1, out_axes=-1)
-    return margin(initial_states(queries))
+    return rotor_limit_margin(vehicle, initial_states(queries))
 
 
 def _smoothest(queries: Queries, total: Float[Array, "b"]) -> Float[Array, "m b"]:

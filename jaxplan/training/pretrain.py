@@ -198,7 +198,7 @@ def _optimiser(config: PretrainConfig) -> optax.GradientTransformation:
     rate = optax.warmup_cosine_decay_schedule(
         0.0, config.learning_rate, warm, config.steps, 1e-3 * config.learning_rate
     )
-    return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(rate, weight_decay=1e-5))
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(rate, weight_decay=1e-2))
 
 
 def _resume(folder: Path, config: PretrainConfig, start: Any) -> tuple[State, float, int]:

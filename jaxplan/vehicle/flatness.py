@@ -78,11 +78,16 @@ def differential_flatness(vehicle: Vehicle, state: FlatState) -> FlatOutputs:
 
 
 def demand_of(vehicle: Vehicle, state: FlatState) -> Demand:
-    """The body's part of ``differential_flatness``, for many lanes. ``vehicle`` is cast already."""
-    acc, inertia = state.acc, vehicle.inertia
+    """The body's part of ``differential_flatness``; ``vehicle`` is cast already.
+
+    Args:
+        state: one state, (5, 3) and (3,), or many with their axes behind, (5, 3, *b) and (3, *b).
+    """
+    _, _, acc, jerk, snap = state.derivatives
+    inertia = vehicle.inertia
     force = (acc[0], acc[1], acc[2] + vehicle.gravity)
     specific_thrust, axes = length(force), _axes(force, state.yaw[0])
-    rates, angular_acceleration = _rates(axes, specific_thrust, state.jerk, state.snap, state.yaw[1], state.yaw[2])
+    rates, angular_acceleration = _rates(axes, specific_thrust, jerk, snap, state.yaw[1], state.yaw[2])
     gyroscopic = cross(rates, [inertia[axis] * rates[axis] for axis in range(3)])
     moment = [inertia[axis] * angular_acceleration[axis] + gyroscopic[axis] for axis in range(3)]
     return Demand(specific_thrust, axes, rates, angular_acceleration, moment)

@@ -27,18 +27,24 @@ class Feasibility(enum.IntEnum):
     """No instant of the trajectory asks more than the rotors give."""
 
 
-def rotor_limit_margin(vehicle: Vehicle, state: FlatState) -> Float[Array, ""]:
-    """Distance [rad/s] of the worst rotor from its nearest limit: positive inside, -inf for a state not finite."""
+def rotor_limit_margin(vehicle: Vehicle, state: FlatState) -> Float[Array, "*b"]:
+    """Distance [rad/s] of the worst rotor from its nearest limit: positive inside, -inf for a state not finite.
+
+    Args:
+        state: one state, (5, 3) and (3,), or many with their axes behind, (5, 3, *b) and (3, *b).
+    """
     vehicle, squared = _squared_speeds(vehicle, state)
     worst = _worst(map(signed_sqrt, squared), vehicle.rotor_speed_min, vehicle.rotor_speed_max)
-    finite = jnp.all(jnp.isfinite(state.derivatives)) & jnp.all(jnp.isfinite(state.yaw)) & jnp.isfinite(worst)
+    finite = jnp.all(jnp.isfinite(state.derivatives), axis=(0, 1)) & jnp.all(jnp.isfinite(state.yaw), axis=0)
+    finite &= jnp.isfinite(worst)
     return jnp.where(finite, worst, -jnp.inf)
 
 
-def thrust_limit_margin(vehicle: Vehicle, state: FlatState) -> Float[Array, ""]:
+def thrust_limit_margin(vehicle: Vehicle, state: FlatState) -> Float[Array, "*b"]:
     """Distance of the worst rotor's thrust from its nearest limit, as a share of the range between its limits.
 
-    Of the same sign as ``rotor_limit_margin``, and smooth where a rotor stands still; NaN for a state not finite.
+    Of the same sign as ``rotor_limit_margin``, for states as there, and smooth where a rotor stands still; NaN for a
+    state not finite.
     """
     vehicle, squared = _squared_speeds(vehicle, state)
     least, most = vehicle.rotor_speed_min**2, vehicle.rotor_speed_max**2
@@ -46,9 +52,8 @@ def thrust_limit_margin(vehicle: Vehicle, state: FlatState) -> Float[Array, ""]:
 
 
 def least_rotor_margin(vehicle: Vehicle, states: FlatState) -> Float[Array, "k"]:
-    """The least ``rotor_limit_margin`` [rad/s] of k flights over their s sampled states, (s, 5, 3, k) and (s, 3, k)."""
-    one = jax.vmap(lambda state: rotor_limit_margin(vehicle, state), in_axes=-1, out_axes=-1)
-    return jnp.min(jax.vmap(one)(states), axis=0)
+    """The least ``rotor_limit_margin`` [rad/s] of k flights over their s sampled states, (5, 3, s, k) and (3, s, k)."""
+    return jnp.min(rotor_limit_margin(vehicle, states), axis=0)
 
 
 @in_float64
@@ -116,7 +121,7 @@ def squared_speed_bounds(
     return least[..., None] * lift - spread, most[..., None] * lift + spread
 
 
-def _squared_speeds(vehicle: Vehicle, state: FlatState) -> tuple[Vehicle, list[Float[Array, ""]]]:
+def _squared_speeds(vehicle: Vehicle, state: FlatState) -> tuple[Vehicle, list[Float[Array, "*b"]]]:
     """The vehicle, cast, and the squares of what its rotors turn at [(rad/s)^2], negative where one pulls down."""
     state = jax.tree.map(jnp.asarray, state)
     vehicle = vehicle.astype(state.derivatives.dtype)
@@ -124,7 +129,7 @@ def _squared_speeds(vehicle: Vehicle, state: FlatState) -> tuple[Vehicle, list[F
     return vehicle, squared_rotor_speeds(vehicle, demand.moment, vehicle.mass * demand.specific_thrust)
 
 
-def _worst(rotors: Iterable[Float[Array, ""]], least: Float[Array, ""], most: Float[Array, ""]) -> Float[Array, ""]:
+def _worst(rotors: Iterable[Float[Array, "*b"]], least: Float[Array, ""], most: Float[Array, ""]) -> Float[Array, "*b"]:
     """The least distance of a rotor from its nearest limit."""
     return functools.reduce(jnp.minimum, [jnp.minimum(rotor - least, most - rotor) for rotor in rotors])
 

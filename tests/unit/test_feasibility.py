@@ -173,7 +173,7 @@ def test_the_low_fidelity_is_the_least_margin_and_the_network_does_not_see_it():
     vehicle, motion = load_vehicle(), features_of(*flight)
     with jax.enable_x64(True):
         states = flights_of(*flight).states(INSTANTS)
-        shares = jax.vmap(jax.vmap(lambda s: thrust_limit_margin(vehicle, s), in_axes=-1, out_axes=-1))(states)
+        shares = thrust_limit_margin(vehicle, states)
         speeds = np.asarray(least_rotor_margin(vehicle, states))
     low = np.asarray(low_fidelity(jnp.asarray(motion)))
     least = 5.0 * np.asarray(shares).min(axis=0)

@@ -70,9 +70,9 @@ def test_states_of_a_batch_are_those_of_each_spline_from_start_to_end():
         for order in range(5):
             scale = np.abs(alone.derivatives[:, order]).max()
             np.testing.assert_allclose(
-                states.derivatives[:, order, :, lane], alone.derivatives[:, order], atol=1e-9 * scale
+                states.derivatives[order, ..., lane].T, alone.derivatives[:, order], atol=1e-9 * scale
             )
-        np.testing.assert_allclose(states.yaw[..., lane], alone.yaw, atol=1e-9 * np.abs(alone.yaw).max())
+        np.testing.assert_allclose(states.yaw[..., lane].T, alone.yaw, atol=1e-9 * np.abs(alone.yaw).max())
 
 
 def test_gradient_of_the_cost_equals_the_exact_one(x64):
