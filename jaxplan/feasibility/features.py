@@ -78,7 +78,7 @@ def low_fidelity(motion: Float[Array, "f p k"]) -> Float[Array, "k"]:
 
 
 class FeatureNetwork(nn.Module):
-    """Each instant with its neighbours, twice; then the largest and the mean over all of them."""
+    """Each instant with its neighbours; then the largest and the mean over all of them."""
 
     config: FeatureConfig
 
@@ -86,7 +86,7 @@ class FeatureNetwork(nn.Module):
     def __call__(self, motion: Float[Array, "f p k"]) -> Float[Array, "k z"]:
         motion = motion[:MARGIN]
         seen = nn.relu(Dense(self.config.width)(_with_neighbours(motion)))
-        seen = nn.relu(Dense(self.config.width)(_with_neighbours(seen)))
+        seen = nn.relu(Dense(self.config.width)(seen))
         whole = jnp.concatenate([jnp.max(seen, axis=1), jnp.mean(seen, axis=1), motion[-1:, 0]])
         whole = nn.relu(Dense(self.config.width)(whole))
         found = Dense(self.config.latent)(whole).T
