@@ -116,7 +116,7 @@ def in_turn(make: Callable[[int], Shard], numbers: list[int]) -> Iterator[tuple[
 def make_dataset(
     folder: Path, config: DatasetConfig, report: Callable[[str], None] = print, each: Each = in_turn
 ) -> None:
-    """Write the shards that are missing in ``folder``.
+    """Write the shards that are missing in ``folder``; a dataset may grow, since each shard has its own seed.
 
     Args:
         each: who makes them, in whatever order.
@@ -124,7 +124,7 @@ def make_dataset(
     folder.mkdir(parents=True, exist_ok=True)
     record = {"config": dataclasses.asdict(config), "shard_size": SHARD_SIZE, "held_out_every": HELD_OUT}
     stated = folder / "dataset.json"
-    if stated.exists() and json.loads(stated.read_text())["config"] != json.loads(json.dumps(record["config"])):
+    if stated.exists() and dataclasses.replace(read_config(folder), shards=config.shards) != config:
         raise FileError(f"{folder}: holds a dataset of another configuration; choose another folder")
     stated.write_text(json.dumps(record, indent=1) + "\n")
     missing = [index for index in range(config.shards) if not shard_path(folder, index).exists()]

@@ -137,6 +137,9 @@ def test_a_dataset_is_made_in_any_order_and_goes_on_where_it_stopped(tmp_path):
     )
     with pytest.raises(FileError, match="another configuration"):
         make_dataset(tmp_path, DatasetConfig(shards=4, seed=5), each=backwards)
+    make_dataset(tmp_path, DatasetConfig(shards=6), each=backwards)
+    assert made == [3, 2, 1, 0, 5, 4]
+    assert len(json.loads((tmp_path / "dataset.json").read_text())["sha256"]) == 6
 
 
 @pytest.mark.slow
