@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 from pathlib import Path
+from typing import Any
 
 from jaxplan.versions import require_supported_jax
 
@@ -100,7 +101,7 @@ def pretrain(
     """
     require_supported_jax()
     from jaxplan.errors import InputError
-    from jaxplan.policy.checkpoint import load_parameters, load_policy, policy_card, resolve_policy, save_policy
+    from jaxplan.policy.checkpoint import load_parameters, load_policy, save_policy
     from jaxplan.policy.network import NetworkConfig
     from jaxplan.training.dataset import digest, read_config
     from jaxplan.training.evaluate import score_policy
@@ -111,18 +112,16 @@ def pretrain(
         raise InputError(f"train pretrain: have --out {out}, want a .npz file in a folder that exists; correct it")
     network, parameters = NetworkConfig(hidden=hidden, attention=attention, latent=latent), None
     options: dict[str, object] = {"hidden": hidden, "attention": attention, "latent": latent}
-    origin = None
     if start is not None:
         network, parameters = load_parameters(start)
         options = {"start": start}
-        origin = {"sha256": digest(resolve_policy(start)[0]), **policy_card(start)}
     config = PretrainConfig(network=network, steps=steps, batch=batch, learning_rate=learning_rate, seed=seed)
     state, error = train(run, data, config, start=parameters)
     options |= {"steps": steps, "batch": batch, "learning-rate": learning_rate, "seed": seed}
     card = {
         "command": "jaxplan train pretrain " + " ".join(f"--{key} {value}" for key, value in options.items()),
         "config": dataclasses.asdict(config),
-        "start": origin,
+        "start": None if start is None else _origin(start),
         "data": {"sha256": digest(data / "dataset.json"), **dataclasses.asdict(read_config(data))},
         "steps_taken": int(state.step),
         "held_out_error_of_total_time": error.overall,
@@ -133,3 +132,11 @@ def pretrain(
         save_policy(out, network, state.averaged, card)
     print(f"{out}: held-out error of the total time {error.overall:.1%}, {out.stat().st_size / 1e6:.2f} MB")
     return 0
+
+
+def _origin(start: str) -> dict[str, Any]:
+    """Hash and card of the policy that training went on from."""
+    from jaxplan.policy.checkpoint import policy_card, resolve_policy
+    from jaxplan.training.dataset import digest
+
+    return {"sha256": digest(resolve_policy(start)[0]), **policy_card(start)}
