@@ -1,9 +1,11 @@
 """Pretraining: imitate the optimiser's durations (paper, Sec. II-C), with a bottleneck of limited information.
 
 The error is that of the logarithms, so that short and long flights count alike: of every duration, weighted by its
-share of the flight, and of their sum. Where a sequence is labelled from a second initial state, it is imitated as well,
-and so is what the change of state does to the total time, in which errors that both share cancel. A run is a folder:
-``state.msgpack`` to go on from, ``metrics.jsonl``, and the best weights so far.
+share of the flight, and of their sum, where too short counts more than too long: labels are at the boundary. Where a
+sequence is labelled from a second initial state, it is imitated as well, and so is what the change of state does to the
+total time, in which errors that both share cancel. States beyond the rotors' limits have no label; there the flight
+time must only keep growing with alpha, as the arrival iteration needs. A run is a folder: ``state.msgpack`` to go on
+from, ``metrics.jsonl``, and the best weights so far.
 """
 
 import dataclasses
@@ -43,8 +45,12 @@ class PretrainConfig:
     """Weight of the Kullback-Leibler divergence (as the predecessors')."""
     total_weight: float = 4.0
     """Weight of the error of the total time."""
+    haste_weight: float = 1.25
+    """The same weighs so much more where the total time is too short."""
     response_weight: float = 8.0
     """Weight of the error of the change of the total time with the initial state."""
+    growth_weight: float = 4.0
+    """Weight of ``growth_shortfall``."""
     average: float = 0.999
     """Decay of the running mean of the weights, which is what is kept."""
     evaluate_every: int = 500
@@ -116,13 +122,26 @@ def imitation_loss(
     spread = jnp.exp(0.5 * bottleneck.log_variance)
     noise = jax.random.normal(latent_key, spread.shape, spread.dtype)
     memory = memory._replace(latent=bottleneck.mean + spread * noise)
-    first, total = _errors(allocate_times(network, parameters, memory, frame, batch.initial), batch.durations, config)
-    faster = sped_up(batch.initial, batch.alpha)
-    second, other = _errors(allocate_times(network, parameters, memory, frame, faster), batch.sped_up, config)
     known = jnp.sum(batch.sped_up, axis=0) > 0.0
-    responses = jnp.where(known, second + config.response_weight * _huber(other - total), 0.0)
-    imitation = jnp.sum(first + responses) / jnp.sum(1.0 + known)
+    alpha = jnp.where(known, batch.alpha, batch.alpha**2)
+    found = allocate_times(network, parameters, memory, frame, batch.initial)
+    later = allocate_times(network, parameters, memory, frame, sped_up(batch.initial, alpha))
+    change = _log_total(later) - _log_total(found)
+    wanted = _log_total(batch.sped_up) - _log_total(batch.durations)
+    imitated = _error(later, batch.sped_up, config) + config.response_weight * _huber(change - wanted)
+    response = jnp.where(known, imitated, config.growth_weight * _huber(growth_shortfall(change, alpha)))
+    imitation = jnp.sum(_error(found, batch.durations, config) + response) / jnp.sum(1.0 + known)
     return imitation + config.divergence_weight * jnp.mean(_divergence(bottleneck))
+
+
+def growth_shortfall(change: Float[Array, "b"], alpha: Float[Array, "b"]) -> Float[Array, "b"]:
+    """How far the flight time alpha T(alpha D) is from growing like the square root of alpha, at least.
+
+    Args:
+        change: log T(alpha D) - log T(D).
+    """
+    growth = jnp.log(alpha)
+    return jax.nn.relu(0.5 * jnp.abs(growth) - (change + growth) * jnp.sign(growth))
 
 
 def pretrain(
@@ -182,15 +201,14 @@ def build_measure(config: PretrainConfig) -> Callable[[Any, Examples], Error]:
     return measure
 
 
-def _errors(
-    durations: Float[Array, "m b"], wanted: Float[Array, "m b"], config: PretrainConfig
-) -> tuple[Float[Array, "b"], Float[Array, "b"]]:
-    """Loss of each sequence, and the error of the logarithm of its total time."""
+def _error(durations: Float[Array, "m b"], wanted: Float[Array, "m b"], config: PretrainConfig) -> Float[Array, "b"]:
+    """Loss of each sequence."""
     real = durations > 0.0
     share = 0.5 * wanted / (jnp.sum(wanted, axis=0) + 1e-9) + 0.5 * real / jnp.sum(real, axis=0)
     error = jnp.where(real, _log(durations) - _log(wanted), 0.0)
-    total = _log(jnp.sum(durations, axis=0)) - _log(jnp.sum(wanted, axis=0))
-    return jnp.sum(share * _huber(error), axis=0) + config.total_weight * _huber(total), total
+    total = _log_total(durations) - _log_total(wanted)
+    weight = config.total_weight * jnp.where(total < 0.0, config.haste_weight, 1.0)
+    return jnp.sum(share * _huber(error), axis=0) + weight * _huber(total)
 
 
 def _optimiser(config: PretrainConfig) -> optax.GradientTransformation:
@@ -233,3 +251,7 @@ def _huber(error: Float[Array, "..."]) -> Float[Array, "..."]:
 
 def _log(x: Float[Array, "..."]) -> Float[Array, "..."]:
     return jnp.log(jnp.maximum(x, 1e-3))
+
+
+def _log_total(durations: Float[Array, "m b"]) -> Float[Array, "b"]:
+    return _log(jnp.sum(durations, axis=0))

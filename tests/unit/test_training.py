@@ -30,7 +30,7 @@ from jaxplan.training.dataset import (
 )
 from jaxplan.training.examples import lanes_of, load_examples
 from jaxplan.training.labels import LabelConfig, Queries, rollout_slowdown
-from jaxplan.training.pretrain import PretrainConfig, imitation_loss, pretrain, start_training
+from jaxplan.training.pretrain import PretrainConfig, growth_shortfall, imitation_loss, pretrain, start_training
 from jaxplan.training.sequences import SPEED_UP, free_queries, in_flight, join, open_room, rest_queries, take
 from jaxplan.training.worlds import SIZES, random_world
 from jaxplan.vehicle.limits import least_rotor_margin
@@ -215,8 +215,38 @@ def test_the_response_is_learned_from_labels_that_are_known(data):
     assert loss(examples, config) > loss(examples, dataclasses.replace(config, response_weight=0.0))
     alone = examples._replace(sped_up=jnp.zeros_like(examples.sped_up))
     other = alone._replace(alpha=2.0 * alone.alpha)
-    assert loss(alone, config) == loss(other, config)
+    free = dataclasses.replace(config, growth_weight=0.0)
+    assert loss(alone, free) == loss(other, free)
     assert loss(alone, config) == loss(alone, dataclasses.replace(config, response_weight=0.0))
+
+
+def test_flight_times_that_do_not_grow_enough_with_alpha_cost_something():
+    """T constant or shrinking like the square root of alpha: free; T shrinking like alpha: as much as it lacks."""
+    alpha = np.array([0.5, 0.5, 2.0, 2.0, 4.0, 1.0])
+    power = np.array([0.0, -1.0, -0.5, -1.0, -1.5, 0.0])
+    found = growth_shortfall(jnp.asarray(power * np.log(alpha)), jnp.asarray(alpha))
+    np.testing.assert_allclose(found, [0.0, 0.5 * np.log(2.0), 0.0, 0.5 * np.log(2.0), np.log(4.0), 0.0], atol=1e-6)
+
+
+def test_total_times_that_are_too_short_cost_more_than_those_too_long(data):
+    state = start_training(SMALL)
+    network = PolicyNetwork(SMALL.network)
+    examples = jax.tree.map(jnp.asarray, lanes_of(load_examples(data, held_out=True), np.arange(64)))
+    examples = examples._replace(sped_up=jnp.zeros_like(examples.sped_up), alpha=jnp.ones_like(examples.alpha))
+
+    def extra(factor):
+        """What ``haste_weight`` adds when the labels are so much longer."""
+        longer = examples._replace(durations=factor * examples.durations)
+        losses = [
+            imitation_loss(
+                network, state.parameters, longer, jax.random.key(0), dataclasses.replace(SMALL, haste_weight=weight)
+            )
+            for weight in (1.0, 2.0)
+        ]
+        return float(losses[1] - losses[0])
+
+    assert extra(1e-2) == 0.0
+    assert extra(1e2) > 0.0
 
 
 def _error_of(state, data):
