@@ -43,18 +43,22 @@ class Comparison:
     """Waypoints of each sequence."""
     relative_time: Float[np.ndarray, "b"]
     """T_policy / T_label."""
+    label_time: Float[np.ndarray, "b"]
+    """T_label [s]."""
     policy_tracked: Bool[np.ndarray, "b"]
     """Flown within 0.20 m and 15 degrees in the rollout."""
     label_tracked: Bool[np.ndarray, "b"]
 
     def by_length(self) -> dict[int, dict[str, float]]:
-        """Mean relative time and shares of tracked flights for each number of waypoints."""
+        """Times and shares of tracked flights for each number of waypoints: the mean of the relative times, and the
+        mean time relative to the labels' mean time, in which flights of centimetres do not weigh."""
         rows = {}
         for count in np.unique(self.counts):
             mine = self.counts == count
             rows[int(count)] = {
                 "sequences": int(mine.sum()),
                 "relative_time": float(self.relative_time[mine].mean()),
+                "relative_mean_time": float(np.average(self.relative_time[mine], weights=self.label_time[mine])),
                 "policy_tracked": float(self.policy_tracked[mine].mean()),
                 "label_tracked": float(self.label_tracked[mine].mean()),
             }
@@ -75,6 +79,7 @@ def compare(
     return Comparison(
         counts=np.asarray(queries.count),
         relative_time=found.sum(axis=0) / labels.sum(axis=0),
+        label_time=labels.sum(axis=0),
         policy_tracked=_tracked(vehicle, queries, found, config),
         label_tracked=_tracked(vehicle, queries, labels, config),
     )
@@ -116,6 +121,7 @@ def score_policy(policy: Policy, data: Path, flights: int, seed: int = 0) -> dic
     held = load_held_out(data, flights, seed)
     config, vehicle = read_config(data).labels, load_vehicle(read_config(data).vehicle)
     found = compare(policy, vehicle, held.queries, held.slowed, config)
+    deviation = np.abs(found.relative_time - 1.0)
     at_limit = found.relative_time * (held.slowed.sum(axis=0) / held.limits.sum(axis=0))
     limits_tracked = _tracked(vehicle, held.queries, held.limits, config)
     moving = np.flatnonzero(np.linalg.norm(held.queries.derivatives[0], axis=0) > 0.5)[:LANES]
@@ -123,6 +129,8 @@ def score_policy(policy: Policy, data: Path, flights: int, seed: int = 0) -> dic
     return {
         "sequences": len(found.counts),
         "relative_time": round(float(found.relative_time.mean()), 4),
+        "relative_mean_time": round(float(np.average(found.relative_time, weights=found.label_time)), 4),
+        "mean_deviation": round(float(deviation.mean()), 4),
         "relative_time_at_limit": round(float(at_limit.mean()), 4),
         "policy_tracked": round(float(found.policy_tracked.mean()), 4),
         "label_tracked": round(float(found.label_tracked.mean()), 4),
