@@ -18,7 +18,7 @@ from jaxplan.vehicle.limits import thrust_limit_margin
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.vectors import dot, length
 
-INSTANTS = 32
+INSTANTS = 24
 MOTION_FEATURES = 12
 MARGIN = 11
 """Which of them is the low fidelity: the network does not see it."""
