@@ -64,7 +64,10 @@ class Parts(NamedTuple):
 
     def allocate(self, state: FlatState, routes: Routes) -> Float[np.ndarray, "m k"]:
         """The policy's least durations [s]."""
-        return self._each(len(routes.count), lambda k: self.stations.allocate(state, pick(routes, k)))
+        at_once = np.zeros(self.config.lanes)
+        return self._each(
+            len(routes.count), lambda k: self.stations.match(state, pick(routes, k), at_once).least_durations
+        )
 
     def trace(self, state: FlatState, routes: Routes, durations: Float[Array, "m k"]) -> tuple[SplineBatch, Margins]:
         """Solved and checked trajectories of as many lanes as the stations take."""

@@ -44,10 +44,9 @@ class Stations(NamedTuple):
     reject: Callable[..., Candidates]
     """(world, candidates, start)."""
     route: Callable[..., Routes]
-    allocate: Callable[..., Float[Array, "m k"]]
-    """(state, routes): the policy's least durations [s]."""
     match: Callable[..., Arrival]
-    """(state, routes, arrival times)."""
+    """(state, routes, arrival times). For arrival times of 0 it ends after one call of the policy, which has its least
+    durations: the same program serves both."""
     trace: Callable[..., tuple[SplineBatch, Margins]]
     """(state, routes, durations): solved and checked, but for obstacles."""
     clear: Callable[..., Margins]
@@ -74,11 +73,6 @@ def compile_stations(
         )
 
     @jax.jit
-    def allocate(state: FlatState, routes: Routes) -> Float[Array, "m k"]:
-        context = policy.encode(routes.waypoints, routes.count)
-        return policy.decode(context, _for_all(state, routes))
-
-    @jax.jit
     def match(state: FlatState, routes: Routes, arrival_times: Float[Array, "k"]) -> Arrival:
         context = policy.encode(routes.waypoints, routes.count)
         return match_arrival(lambda d: policy.decode(context, d), state, arrival_times, config.arrival)
@@ -93,7 +87,7 @@ def compile_stations(
     def clear(world: World, splines: SplineBatch, margins: Margins) -> Margins:
         return check_clearance(margins, splines, world, vehicle, config.checks)
 
-    return Stations(reject, route, allocate, match, trace, clear)
+    return Stations(reject, route, match, trace, clear)
 
 
 def shortened(routes: Routes) -> Routes:
@@ -114,8 +108,3 @@ def no_trajectories() -> tuple[SplineBatch, Margins]:
     )
     reasons = np.zeros(0, np.uint32)
     return splines, Margins(deviation=none, clearance=none, rotor_speed=none, probability=none, reasons=reasons)
-
-
-def _for_all(state: FlatState, routes: Routes) -> FlatState:
-    lanes = routes.waypoints.shape[-1]
-    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[..., None], (*leaf.shape, lanes)), state)
