@@ -6,6 +6,7 @@ from typing import Any
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
 
 def draw_network_size(rows: Sequence[Mapping[str, Any]], path: Path, *, shipped: int) -> None:
@@ -19,7 +20,8 @@ def draw_network_size(rows: Sequence[Mapping[str, Any]], path: Path, *, shipped:
     FigureCanvasAgg(figure)
     axis = figure.subplots()
     error = [100.0 * row["error"] for row in rows]
-    for name, label in (("evaluation_ms", "encoder and one pass"), ("pass_ms", "one decoder pass")):
+    kinds = (("evaluation_ms", "encoder and one pass", (4, 4), "left"), ("pass_ms", "one pass", (-4, -12), "right"))
+    for name, label, offset, side in kinds:
         times = [row[name] for row in rows]
         (line,) = axis.plot(times, error, marker="o", label=label)
         for row, time, value in zip(rows, times, error, strict=True):
@@ -27,13 +29,17 @@ def draw_network_size(rows: Sequence[Mapping[str, Any]], path: Path, *, shipped:
             axis.annotate(
                 str(row["hidden"]),
                 (time, value),
-                xytext=(4, 4),
+                xytext=offset,
+                ha=side,
                 textcoords="offset points",
                 color=line.get_color(),
                 fontweight=weight,
             )
     axis.set_xscale("log")
-    axis.set_ylim(bottom=0.0)
+    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.xaxis.set_minor_locator(NullLocator())
+    axis.set_ylim(0.0, 1.15 * max(error))
     axis.set_xlabel("400 sequences of 14 waypoints [ms]")
     axis.set_ylabel("held-out error of the total time [%]")
     axis.set_title("width of the decoder's GRU; bold: shipped", fontsize=9)
