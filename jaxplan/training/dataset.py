@@ -124,8 +124,12 @@ def make_dataset(
     folder.mkdir(parents=True, exist_ok=True)
     record = {"config": dataclasses.asdict(config), "shard_size": SHARD_SIZE, "held_out_every": HELD_OUT}
     stated = folder / "dataset.json"
-    if stated.exists() and dataclasses.replace(read_config(folder), shards=config.shards) != config:
-        raise FileError(f"{folder}: holds a dataset of another configuration; choose another folder")
+    if stated.exists():
+        held = read_config(folder)
+        if dataclasses.replace(held, shards=config.shards) != config:
+            raise FileError(f"{folder}: holds a dataset of another configuration; choose another folder")
+        if held.shards > config.shards:
+            raise FileError(f"{folder}: is of {held.shards} shards, want no fewer than that, have {config.shards}")
     stated.write_text(json.dumps(record, indent=1) + "\n")
     missing = [index for index in range(config.shards) if not shard_path(folder, index).exists()]
     for index, shard in each(functools.partial(flown_shard, config), missing):

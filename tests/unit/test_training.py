@@ -140,6 +140,8 @@ def test_a_dataset_is_made_in_any_order_and_goes_on_where_it_stopped(tmp_path):
     make_dataset(tmp_path, DatasetConfig(shards=6), each=backwards)
     assert made == [3, 2, 1, 0, 5, 4]
     assert len(json.loads((tmp_path / "dataset.json").read_text())["sha256"]) == 6
+    with pytest.raises(FileError, match="6 shards"):
+        make_dataset(tmp_path, DatasetConfig(shards=4), each=backwards)
 
 
 @pytest.mark.slow
