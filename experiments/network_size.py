@@ -32,6 +32,7 @@ from jaxplan.training.dataset import (
     write_shard,
 )
 from jaxplan.training.examples import lanes_of, load_examples
+from jaxplan.training.imitation import ImitationConfig
 from jaxplan.training.pretrain import PretrainConfig, pretrain
 from jaxplan.vehicle.params import load_vehicle
 from jaxplan.viz.network_size import draw_network_size
@@ -83,6 +84,7 @@ def evaluate(config: Config, item: Item) -> Row:
     network = NetworkConfig(hidden=width, attention=width // 2, latent=width // 2)
     settings = PretrainConfig(
         network=network,
+        imitation=ImitationConfig(excess=0.0),
         steps=config.steps,
         batch=config.batch,
         evaluate_every=min(500, config.steps),

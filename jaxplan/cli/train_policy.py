@@ -64,6 +64,7 @@ def pretrain(
     steps: int = 30_000,
     batch: int = 512,
     learning_rate: float = 3e-3,
+    excess: float = 0.4,
     flights: int = 2_000,
     seed: int = 0,
     debug: bool = False,
@@ -92,6 +93,8 @@ def pretrain(
         Sequences of each step.
     learning_rate
         At its highest, after a warm-up; a cosine follows.
+    excess
+        Weight of thrust beyond the rotors' limits [1/s]. With 0 no flight is solved, and a step takes half the time.
     flights
         Held-out sequences that are flown for the scores.
     seed
@@ -105,6 +108,7 @@ def pretrain(
     from jaxplan.policy.network import NetworkConfig
     from jaxplan.training.dataset import digest, read_config
     from jaxplan.training.evaluate import score_policy
+    from jaxplan.training.imitation import ImitationConfig
     from jaxplan.training.pretrain import PretrainConfig
     from jaxplan.training.pretrain import pretrain as train
 
@@ -115,9 +119,16 @@ def pretrain(
     if start is not None:
         network, parameters = load_parameters(start)
         options = {"start": start}
-    config = PretrainConfig(network=network, steps=steps, batch=batch, learning_rate=learning_rate, seed=seed)
+    config = PretrainConfig(
+        network=network,
+        imitation=ImitationConfig(excess=excess),
+        steps=steps,
+        batch=batch,
+        learning_rate=learning_rate,
+        seed=seed,
+    )
     state, error = train(run, data, config, start=parameters)
-    options |= {"steps": steps, "batch": batch, "learning-rate": learning_rate, "seed": seed}
+    options |= {"steps": steps, "batch": batch, "learning-rate": learning_rate, "excess": excess, "seed": seed}
     card = {
         "command": "jaxplan train pretrain " + " ".join(f"--{key} {value}" for key, value in options.items()),
         "config": dataclasses.asdict(config),

@@ -1,11 +1,6 @@
 """Pretraining: imitate the optimiser's durations (paper, Sec. II-C), with a bottleneck of limited information.
 
-The error is that of the logarithms, so that short and long flights count alike: of every duration, weighted by its
-share of the flight, and of their sum, where too short counts more than too long: labels are at the boundary. Where a
-sequence is labelled from a second initial state, it is imitated as well, and so is what the change of state does to the
-total time, in which errors that both share cancel. States beyond the rotors' limits have no label; there the flight
-time must only keep growing with alpha, as the arrival iteration needs. A run is a folder: ``state.msgpack`` to go on
-from, ``metrics.jsonl``, and the best weights so far.
+A run is a folder: ``state.msgpack`` to go on from, ``metrics.jsonl``, and the best weights so far.
 """
 
 import dataclasses
@@ -21,15 +16,17 @@ import optax
 from flax import serialization
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from jaxplan.arrival import sped_up
 from jaxplan.errors import InputError
+from jaxplan.numerics import in_float64
 from jaxplan.policy.features import SEGMENT_FEATURES, STATE_FEATURES
-from jaxplan.policy.network import Bottleneck, NetworkConfig, PolicyNetwork
+from jaxplan.policy.network import NetworkConfig, PolicyNetwork
 from jaxplan.policy.neural import allocate_times, read_sequences
 from jaxplan.search.knots import MAX_WAYPOINTS
-from jaxplan.spline import FlatState
+from jaxplan.training.dataset import read_config
 from jaxplan.training.examples import Examples, batches, lanes_of, load_examples
+from jaxplan.training.imitation import ImitationConfig, imitation_loss
 from jaxplan.training.runs import claim, write_whole
+from jaxplan.vehicle.params import Vehicle, load_vehicle
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,16 +38,7 @@ class PretrainConfig:
     batch: int = 512
     learning_rate: float = 3e-3
     """At its highest; warmed up and annealed by a cosine."""
-    divergence_weight: float = 1e-4
-    """Weight of the Kullback-Leibler divergence (as the predecessors')."""
-    total_weight: float = 4.0
-    """Weight of the error of the total time."""
-    haste_weight: float = 1.25
-    """The same weighs so much more where the total time is too short."""
-    response_weight: float = 8.0
-    """Weight of the error of the change of the total time with the initial state."""
-    growth_weight: float = 4.0
-    """Weight of ``growth_shortfall``."""
+    imitation: ImitationConfig = ImitationConfig()
     average: float = 0.999
     """Decay of the running mean of the weights, which is what is kept."""
     evaluate_every: int = 500
@@ -96,52 +84,23 @@ def start_training(config: PretrainConfig, start: Any = None) -> State:
     return State(parameters, parameters, optimiser, jnp.int32(0))
 
 
-def build_step(config: PretrainConfig) -> Callable[[State, Examples, PRNGKeyArray], tuple[State, Array]]:
+def build_step(
+    config: PretrainConfig, vehicle: Vehicle
+) -> Callable[[State, Examples, PRNGKeyArray], tuple[State, Array]]:
     """One compiled gradient step on a batch."""
     network, optimiser = PolicyNetwork(config.network), _optimiser(config)
 
     @jax.jit
     def advance(state: State, batch: Examples, key: PRNGKeyArray) -> tuple[State, Array]:
-        loss, slope = jax.value_and_grad(lambda p: imitation_loss(network, p, batch, key, config))(state.parameters)
+        cost = lambda p: imitation_loss(network, p, batch, key, config.imitation, vehicle)  # noqa: E731
+        loss, slope = jax.value_and_grad(cost)(state.parameters)
         change, optimiser_state = optimiser.update(slope, state.optimiser, state.parameters)
         parameters = optax.apply_updates(state.parameters, change)
         rate = jnp.minimum(config.average, (1.0 + state.step) / (10.0 + state.step))
         averaged = optax.incremental_update(parameters, state.averaged, 1.0 - rate)
         return State(parameters, averaged, optimiser_state, state.step + 1), loss
 
-    return advance
-
-
-def imitation_loss(
-    network: PolicyNetwork, parameters: Any, batch: Examples, key: PRNGKeyArray, config: PretrainConfig
-) -> Float[Array, ""]:
-    """Squared errors of the log-durations, of the log total time and its response, and the bottleneck's divergence."""
-    mirror_key, latent_key = jax.random.split(key)
-    batch = _mirrored(batch, mirror_key)
-    frame, memory, bottleneck = read_sequences(network, parameters, batch.waypoints, batch.count)
-    spread = jnp.exp(0.5 * bottleneck.log_variance)
-    noise = jax.random.normal(latent_key, spread.shape, spread.dtype)
-    memory = memory._replace(latent=bottleneck.mean + spread * noise)
-    known = jnp.sum(batch.sped_up, axis=0) > 0.0
-    alpha = jnp.where(known, batch.alpha, batch.alpha**2)
-    found = allocate_times(network, parameters, memory, frame, batch.initial)
-    later = allocate_times(network, parameters, memory, frame, sped_up(batch.initial, alpha))
-    change = _log_total(later) - _log_total(found)
-    wanted = _log_total(batch.sped_up) - _log_total(batch.durations)
-    imitated = _error(later, batch.sped_up, config) + config.response_weight * _huber(change - wanted)
-    response = jnp.where(known, imitated, config.growth_weight * _huber(growth_shortfall(change, alpha)))
-    imitation = jnp.sum(_error(found, batch.durations, config) + response) / jnp.sum(1.0 + known)
-    return imitation + config.divergence_weight * jnp.mean(_divergence(bottleneck))
-
-
-def growth_shortfall(change: Float[Array, "b"], alpha: Float[Array, "b"]) -> Float[Array, "b"]:
-    """How far the flight time alpha T(alpha D) is from growing like the square root of alpha, at least.
-
-    Args:
-        change: log T(alpha D) - log T(D).
-    """
-    growth = jnp.log(alpha)
-    return jax.nn.relu(0.5 * jnp.abs(growth) - (change + growth) * jnp.sign(growth))
+    return in_float64(advance)
 
 
 def pretrain(
@@ -154,7 +113,7 @@ def pretrain(
     """
     training, held_out = load_examples(data, held_out=False), load_examples(data, held_out=True)
     state, best, stale = _resume(folder, config, start)
-    advance = build_step(config)
+    advance = build_step(config, load_vehicle(read_config(data).vehicle))
     measure = build_measure(config)
     for batch, key in batches(training, config.batch, config.seed, range(int(state.step), config.steps)):
         state, loss = advance(state, batch, key)
@@ -201,16 +160,6 @@ def build_measure(config: PretrainConfig) -> Callable[[Any, Examples], Error]:
     return measure
 
 
-def _error(durations: Float[Array, "m b"], wanted: Float[Array, "m b"], config: PretrainConfig) -> Float[Array, "b"]:
-    """Loss of each sequence."""
-    real = durations > 0.0
-    share = 0.5 * wanted / (jnp.sum(wanted, axis=0) + 1e-9) + 0.5 * real / jnp.sum(real, axis=0)
-    error = jnp.where(real, _log(durations) - _log(wanted), 0.0)
-    total = _log_total(durations) - _log_total(wanted)
-    weight = config.total_weight * jnp.where(total < 0.0, config.haste_weight, 1.0)
-    return jnp.sum(share * _huber(error), axis=0) + weight * _huber(total)
-
-
 def _optimiser(config: PretrainConfig) -> optax.GradientTransformation:
     warm = min(500, config.steps // 10 + 1)
     rate = optax.warmup_cosine_decay_schedule(
@@ -228,30 +177,3 @@ def _resume(folder: Path, config: PretrainConfig, start: Any) -> tuple[State, fl
         return fresh, np.inf, 0
     fields, best, stale = serialization.from_bytes((fresh._asdict(), 0.0, 0), saved.read_bytes())
     return State(**fields), float(best), int(stale)
-
-
-def _mirrored(batch: Examples, key: PRNGKeyArray) -> Examples:
-    """Half of the batch reflected in a vertical plane: a quadrotor flies left as it flies right."""
-    side = jnp.where(jax.random.bernoulli(key, 0.5, batch.count.shape), 1.0, -1.0).astype(batch.waypoints.dtype)
-    flip = jnp.stack([jnp.ones_like(side), side, jnp.ones_like(side)])
-    state = FlatState(derivatives=batch.initial.derivatives * flip, yaw=batch.initial.yaw * side)
-    return batch._replace(waypoints=batch.waypoints * flip, initial=state)
-
-
-def _divergence(bottleneck: Bottleneck) -> Float[Array, "k"]:
-    """Kullback-Leibler divergence from the standard normal distribution."""
-    mean, log_variance = bottleneck
-    return 0.5 * jnp.sum(mean**2 + jnp.exp(log_variance) - 1.0 - log_variance, axis=0)
-
-
-def _huber(error: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Squared where small, linear where a label is an outlier."""
-    return optax.losses.huber_loss(error, delta=0.2)
-
-
-def _log(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    return jnp.log(jnp.maximum(x, 1e-3))
-
-
-def _log_total(durations: Float[Array, "m b"]) -> Float[Array, "b"]:
-    return _log(jnp.sum(durations, axis=0))

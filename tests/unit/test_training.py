@@ -29,14 +29,21 @@ from jaxplan.training.dataset import (
     write_shard,
 )
 from jaxplan.training.examples import lanes_of, load_examples
+from jaxplan.training.imitation import ImitationConfig, growth_shortfall, imitation_loss, thrust_excess
 from jaxplan.training.labels import LabelConfig, Queries, rollout_slowdown
-from jaxplan.training.pretrain import PretrainConfig, growth_shortfall, imitation_loss, pretrain, start_training
+from jaxplan.training.pretrain import PretrainConfig, pretrain, start_training
 from jaxplan.training.sequences import SPEED_UP, free_queries, in_flight, join, open_room, rest_queries, take
 from jaxplan.training.worlds import SIZES, random_world
 from jaxplan.vehicle.limits import least_rotor_margin
 from jaxplan.vehicle.params import load_vehicle
 
-SMALL = PretrainConfig(network=NetworkConfig(hidden=8, attention=4, latent=2), steps=40, batch=32, evaluate_every=20)
+SMALL = PretrainConfig(
+    network=NetworkConfig(hidden=8, attention=4, latent=2),
+    imitation=ImitationConfig(excess=0.0),
+    steps=40,
+    batch=32,
+    evaluate_every=20,
+)
 
 
 def test_random_worlds_differ_but_share_their_shapes():
@@ -204,22 +211,27 @@ def test_training_goes_on_from_given_weights(tmp_path, data):
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=0.01), first.averaged, second.averaged)
 
 
-def test_the_response_is_learned_from_labels_that_are_known(data):
-    """Second labels bend the weights, and where there are none nothing of them is left."""
-    config = dataclasses.replace(SMALL, response_weight=8.0)
-    state = start_training(config)
-    network = PolicyNetwork(config.network)
-
-    def loss(examples, config):
-        return float(imitation_loss(network, state.parameters, examples, jax.random.key(0), config))
-
+@pytest.fixture
+def loss(data, x64):
+    """(examples, weights): the loss of a policy with random weights; and some examples."""
     examples = jax.tree.map(jnp.asarray, lanes_of(load_examples(data, held_out=True), np.arange(64)))
-    assert loss(examples, config) > loss(examples, dataclasses.replace(config, response_weight=0.0))
+    network, parameters = PolicyNetwork(SMALL.network), start_training(SMALL).parameters
+
+    def value(examples, **weights):
+        config = dataclasses.replace(ImitationConfig(excess=0.0), **weights)
+        return float(imitation_loss(network, parameters, examples, jax.random.key(0), config, load_vehicle()))
+
+    return value, examples
+
+
+def test_the_response_is_learned_from_labels_that_are_known(loss):
+    """Second labels bend the weights, and where there are none nothing of them is left."""
+    value, examples = loss
+    assert value(examples) > value(examples, response=0.0)
     alone = examples._replace(sped_up=jnp.zeros_like(examples.sped_up))
     other = alone._replace(alpha=2.0 * alone.alpha)
-    free = dataclasses.replace(config, growth_weight=0.0)
-    assert loss(alone, free) == loss(other, free)
-    assert loss(alone, config) == loss(alone, dataclasses.replace(config, response_weight=0.0))
+    assert value(alone, growth=0.0) == value(other, growth=0.0)
+    assert value(alone) == value(alone, response=0.0)
 
 
 def test_flight_times_that_do_not_grow_enough_with_alpha_cost_something():
@@ -230,25 +242,31 @@ def test_flight_times_that_do_not_grow_enough_with_alpha_cost_something():
     np.testing.assert_allclose(found, [0.0, 0.5 * np.log(2.0), 0.0, 0.5 * np.log(2.0), np.log(4.0), 0.0], atol=1e-6)
 
 
-def test_total_times_that_are_too_short_cost_more_than_those_too_long(data):
-    state = start_training(SMALL)
-    network = PolicyNetwork(SMALL.network)
-    examples = jax.tree.map(jnp.asarray, lanes_of(load_examples(data, held_out=True), np.arange(64)))
+def test_total_times_that_are_too_short_cost_more_than_those_too_long(loss):
+    value, examples = loss
     examples = examples._replace(sped_up=jnp.zeros_like(examples.sped_up), alpha=jnp.ones_like(examples.alpha))
 
     def extra(factor):
-        """What ``haste_weight`` adds when the labels are so much longer."""
+        """What ``haste`` adds when the labels are so much longer."""
         longer = examples._replace(durations=factor * examples.durations)
-        losses = [
-            imitation_loss(
-                network, state.parameters, longer, jax.random.key(0), dataclasses.replace(SMALL, haste_weight=weight)
-            )
-            for weight in (1.0, 2.0)
-        ]
-        return float(losses[1] - losses[0])
+        return value(longer, haste=2.0) - value(longer, haste=1.0)
 
     assert extra(1e-2) == 0.0
     assert extra(1e2) > 0.0
+
+
+def test_thrust_beyond_the_limits_costs_something(loss):
+    value, examples = loss
+
+    @jax.jit
+    def beyond(factor):
+        return thrust_excess(load_vehicle(), examples, factor * examples.durations, 1.5)
+
+    slow, fast = (np.asarray(beyond(factor)) for factor in (4.0, 0.5))
+    assert np.median(slow) == 0.0
+    assert (fast > slow).mean() > 0.9
+    extra = [value(examples, excess=weight) - value(examples) for weight in (0.5, 1.0)]
+    assert 0.0 < extra[0] == pytest.approx(0.5 * extra[1], rel=1e-3)
 
 
 def _error_of(state, data):
