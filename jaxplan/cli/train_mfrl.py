@@ -103,11 +103,10 @@ def _make(
         "data": {"sha256": digest(data / "dataset.json"), **dataclasses.asdict(made)},
         "rollouts": config.first_labels + (config.rounds - 1) * (config.chosen + config.random) + config.calibration,
     }
-    features = config.classifier.features
     save_policy(out, network, found.learner.parameters, card)
-    save_classifier(judge, features, found.model, card)
+    save_classifier(judge, found.model, card)
     if flights:
         scores = score_policy(load_policy(out), data, flights)
         save_policy(out, network, found.learner.parameters, {**card, "scores": scores})
         scores = score_classifier(load_classifier(judge), load_policy(out), data, flights)
-        save_classifier(judge, features, found.model, {**card, "scores": scores})
+        save_classifier(judge, found.model, {**card, "scores": scores})

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from jaxplan.errors import FileError
 from jaxplan.feasibility.classifier import Classifier, Model, make_classifier, new_model
-from jaxplan.feasibility.features import INSTANTS, MOTION_FEATURES, FeatureConfig
+from jaxplan.feasibility.features import INSTANTS, MOTION_FEATURES
 from jaxplan.weights import read_weights, resolve_weights, restore, write_weights
 
 KIND = "classifier"
@@ -19,12 +19,11 @@ GOLDEN_TOLERANCE = 1e-2
 WEIGHTS = Path(__file__).parent / "weights"
 
 
-def save_classifier(path: Path, config: FeatureConfig, model: Model, card: dict[str, Any]) -> None:
+def save_classifier(path: Path, model: Model, card: dict[str, Any]) -> None:
     """Write a model with its ``card``: how it was made and how it scores."""
     header = {
-        "features": {"width": config.width, "latent": config.latent},
         "inducing": len(model.process.inducing),
-        "golden": _golden(make_classifier(config, model)).tolist(),
+        "golden": _golden(make_classifier(model)).tolist(),
         "card": card,
     }
     write_weights(path, KIND, header, model)
@@ -37,23 +36,18 @@ def load_classifier(source: str | Path) -> Classifier:
         FileError: no such file or name; damaged; of another format; a model that does not give the golden
             probabilities.
     """
-    return make_classifier(*load_model(source))
-
-
-def load_model(source: str | Path) -> tuple[FeatureConfig, Model]:
-    """Sizes and model, to go on training from; checked as by ``load_classifier``."""
     path, _ = resolve_weights(source, WEIGHTS, KIND)
     header, arrays = read_weights(path, KIND)
     try:
-        config, inducing = FeatureConfig(**header["features"]), int(header["inducing"])
-        golden = np.asarray(header["golden"], float)
+        inducing, golden = int(header["inducing"]), np.asarray(header["golden"], float)
     except (KeyError, TypeError, ValueError) as error:
         raise FileError(f"{path}: its header is not a classifier's ({error}); use a file of jaxplan") from error
-    model = restore(jax.eval_shape(lambda: new_model(config, inducing, 0)), arrays)
-    found = _golden(make_classifier(config, model))
+    template = jax.eval_shape(lambda: new_model(inducing, 0, jnp.zeros((MOTION_FEATURES, INSTANTS, 1), jnp.float32)))
+    classifier = make_classifier(jax.tree.map(jnp.asarray, restore(template, arrays)))
+    found = _golden(classifier)
     if found.shape != golden.shape or not np.allclose(found, golden, rtol=0.0, atol=GOLDEN_TOLERANCE):
         raise FileError(f"{path}: the model does not give the probabilities that it gave when it was saved")
-    return config, jax.tree.map(jnp.asarray, model)
+    return classifier
 
 
 def classifier_card(source: str | Path) -> dict[str, Any]:

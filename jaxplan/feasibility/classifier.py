@@ -1,25 +1,18 @@
-"""P(the vehicle can follow a trajectory): a sparse Gaussian process on a learned feature and on the low fidelity.
+"""P(the vehicle can follow a trajectory): a sparse Gaussian process on its summary and on the low fidelity.
 
 The low fidelity is how far the rotors stay from their limits along the reference, the high one whether a rollout of the
 vehicle with its controller, drag, rotor lag and sensor noise stays within 0.20 m and 15 degrees (MFRL, Sec. III). The
 low one is known exactly wherever the high one is asked, so that it needs no process of its own (decision 0015).
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxplan.feasibility.features import (
-    INSTANTS,
-    MOTION_FEATURES,
-    FeatureConfig,
-    FeatureNetwork,
-    low_fidelity,
-    motion_features,
-)
+from jaxplan.feasibility.features import low_fidelity, motion_features, summarise
 from jaxplan.feasibility.gaussian_process import (
     Posterior,
     Process,
@@ -34,17 +27,29 @@ from jaxplan.feasibility.gaussian_process import (
 from jaxplan.minsnap.batch import SplineBatch
 from jaxplan.vehicle.params import Vehicle
 
+LEAST_SPREAD = 1e-3
+"""Added to each spread, so that what never varies does no harm."""
+APART = 0.1
+"""How far inducing inputs are moved, so that no two coincide."""
+
+
+class Scales(NamedTuple):
+    """Of what the process sees, over the flights that it was made for."""
+
+    centre: Float[Array, "d"]
+    spread: Float[Array, "d"]
+
 
 class Model(NamedTuple):
-    """What is trained."""
+    """What is trained: the process; its kernel's lengths say what of a trajectory matters how much."""
 
-    network: Any
+    scales: Scales
     process: Process
     """On (z, f_low) if its kernel is ``Related``, on z alone otherwise."""
 
-    def inputs(self, config: FeatureConfig, motion: Float[Array, "f p n"]) -> Float[Array, "n d"]:
+    def inputs(self, motion: Float[Array, "f p n"]) -> Float[Array, "n d"]:
         """What the process sees."""
-        return _inputs(config, self.network, self.process, motion)
+        return _inputs(self.scales, motion, isinstance(self.process.kernel, Related))
 
 
 class Prediction(NamedTuple):
@@ -59,8 +64,7 @@ class Prediction(NamedTuple):
 class Classifier(NamedTuple):
     """A trained model, ready for many queries."""
 
-    config: FeatureConfig
-    network: Any
+    scales: Scales
     posterior: Posterior
 
     def predict(self, splines: SplineBatch, vehicle: Vehicle) -> Prediction:
@@ -69,37 +73,41 @@ class Classifier(NamedTuple):
 
     def judge(self, motion: Float[Array, "f p k"]) -> Prediction:
         """Probabilities from ``motion_features``."""
-        mean, variance = predict(self.posterior, _inputs(self.config, self.network, self.posterior, motion))
+        seen = _inputs(self.scales, motion, isinstance(self.posterior.kernel, Related))
+        mean, variance = predict(self.posterior, seen)
         return Prediction(probability(mean, variance), jnp.sqrt(variance))
 
 
-def new_model(config: FeatureConfig, inducing: int, seed: int, *, related_to_low: bool = True) -> Model:
-    """Random features, the prior, and inducing inputs spread where features lie.
+def new_model(inducing: int, seed: int, motion: Float[Array, "f p n"], *, related_to_low: bool = True) -> Model:
+    """The prior, for flights like those of ``motion``, some of which are its inducing inputs.
 
     Args:
         related_to_low: whether the process sees the low fidelity.
     """
+    seen = _seen(jnp.asarray(motion), related_to_low)
+    scales = Scales(jnp.mean(seen, axis=0), jnp.std(seen, axis=0) + LEAST_SPREAD)
     keys = jax.random.split(jax.random.key(seed), 2)
-    network = FeatureNetwork(config).init(keys[0], jnp.zeros((MOTION_FEATURES, INSTANTS, 1), jnp.float32))
-    width, length = config.latent, float(np.sqrt(config.latent))
-    kernel = related(width, length) if related_to_low else rbf(width, length)
-    dimensions = width + 1 if related_to_low else width
-    spread = jax.random.uniform(keys[1], (inducing, dimensions), jnp.float32, -2.0, 2.0)
-    return Model(network, new_process(kernel, spread))
+    chosen = jax.random.choice(keys[0], len(seen), (inducing,), replace=len(seen) < inducing)
+    places = (seen[chosen] - scales.centre) / scales.spread
+    dimensions = seen.shape[1] - related_to_low
+    length = float(np.sqrt(dimensions))
+    kernel = related(dimensions, length) if related_to_low else rbf(dimensions, length)
+    return Model(scales, new_process(kernel, places + APART * jax.random.normal(keys[1], places.shape, places.dtype)))
 
 
-def make_classifier(config: FeatureConfig, model: Model) -> Classifier:
+def make_classifier(model: Model) -> Classifier:
     """Ready a model for queries."""
-    return Classifier(config, model.network, _prepared(model.process))
+    return Classifier(model.scales, _prepared(model.process))
 
 
-def _inputs(
-    config: FeatureConfig, network: Any, process: Process | Posterior, motion: Float[Array, "f p n"]
-) -> Float[Array, "n d"]:
-    features = FeatureNetwork(config).apply(network, motion)
-    if not isinstance(process.kernel, Related):
-        return features
-    return jnp.concatenate([features, low_fidelity(motion)[:, None]], axis=1)
+def _inputs(scales: Scales, motion: Float[Array, "f p n"], related_to_low: bool) -> Float[Array, "n d"]:
+    scales = jax.lax.stop_gradient(scales)
+    return (_seen(motion, related_to_low) - scales.centre) / scales.spread
+
+
+def _seen(motion: Float[Array, "f p n"], related_to_low: bool) -> Float[Array, "n d"]:
+    summary = summarise(motion)
+    return (jnp.concatenate([summary, low_fidelity(motion)[None]]) if related_to_low else summary).T
 
 
 _prepared = jax.jit(prepare)

@@ -1,18 +1,14 @@
-"""What decides whether the vehicle can follow a trajectory, and the network that condenses it.
+"""What decides whether the vehicle can follow a trajectory.
 
 A trajectory (waypoints, initial state and times give it) is looked at at instants evenly spread over its duration. What
 is taken there does not change when it is moved or turned about the vertical: thrust, tilt, and how fast thrust, speed
 and heading change. Beside these stands the low fidelity, how far the rotors are from their limits.
 """
 
-import dataclasses
-
-import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxplan.errors import InputError
 from jaxplan.minsnap.batch import SplineBatch
 from jaxplan.vehicle.limits import thrust_limit_margin
 from jaxplan.vehicle.params import Vehicle
@@ -20,26 +16,15 @@ from jaxplan.vehicle.vectors import dot, length
 
 INSTANTS = 24
 MOTION_FEATURES = 12
+YAWING = slice(8, 10)
+"""Which of them are yaw rate and yaw acceleration,"""
+DURATION = 10
+"""the duration,"""
 MARGIN = 11
-"""Which of them is the low fidelity: the network does not see it."""
+"""and the margin, whose least value is the low fidelity."""
 GRAVITY = 9.81
 LEAST_THRUST = 0.5
 """Specific thrust [m/s^2] below which its direction counts as changing no faster (arbitrary)."""
-
-
-@jax.tree_util.register_static
-@dataclasses.dataclass(frozen=True)
-class FeatureConfig:
-    """Sizes of the feature network."""
-
-    width: int = 16
-    latent: int = 12
-    """Dimensions of the feature z."""
-
-    def __post_init__(self) -> None:
-        for name in ("width", "latent"):
-            if not 1 <= getattr(self, name) <= 1024:
-                raise InputError(f"features: {name} is {getattr(self, name)}, want 1 to 1024")
 
 
 def motion_features(splines: SplineBatch, vehicle: Vehicle) -> Float[Array, "f p k"]:
@@ -77,41 +62,17 @@ def low_fidelity(motion: Float[Array, "f p k"]) -> Float[Array, "k"]:
     return jnp.min(motion[MARGIN], axis=0)
 
 
-class FeatureNetwork(nn.Module):
-    """Each instant with its neighbours; then the largest and the mean over all of them."""
+def summarise(motion: Float[Array, "f p k"]) -> Float[Array, "s k"]:
+    """What each trajectory comes to: the largest, the least and the mean of every feature, and its duration.
 
-    config: FeatureConfig
-
-    @nn.compact
-    def __call__(self, motion: Float[Array, "f p k"]) -> Float[Array, "k z"]:
-        motion = motion[:MARGIN]
-        seen = nn.relu(Dense(self.config.width)(_with_neighbours(motion)))
-        seen = nn.relu(Dense(self.config.width)(seen))
-        whole = jnp.concatenate([jnp.max(seen, axis=1), jnp.mean(seen, axis=1), motion[-1:, 0]])
-        whole = nn.relu(Dense(self.config.width)(whole))
-        found = Dense(self.config.latent)(whole).T
-        return 3.0 * found / (1.0 + jnp.abs(found))
-
-
-class Dense(nn.Module):
-    """A layer over the first axis, so that the batch stays last and contiguous."""
-
-    width: int
-
-    @nn.compact
-    def __call__(self, x: Float[Array, "i *p k"]) -> Float[Array, "o *p k"]:
-        kernel = self.param("kernel", nn.initializers.lecun_normal(), (x.shape[0], self.width), jnp.float32)
-        bias = self.param("bias", nn.initializers.zeros, (self.width,), jnp.float32)
-        return jnp.tensordot(kernel, x, axes=(0, 0)) + bias.reshape(-1, *[1] * (x.ndim - 1))
+    Turning left counts as turning right. The low fidelity is left out.
+    """
+    turning = jnp.abs(motion[YAWING])
+    seen = jnp.concatenate([motion[: YAWING.start], turning])
+    return jnp.concatenate([jnp.max(seen, axis=1), jnp.min(seen, axis=1), jnp.mean(seen, axis=1), motion[DURATION, :1]])
 
 
 def _compressed(x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """x where it is small, of the order of its fourth root where it is large; cheaper than a logarithm."""
     root = jnp.sqrt(1.0 + jnp.abs(x))
     return x / (root * jnp.sqrt(root))
-
-
-def _with_neighbours(x: Float[Array, "f p k"]) -> Float[Array, "3f p k"]:
-    before = jnp.concatenate([x[:, :1], x[:, :-1]], axis=1)
-    after = jnp.concatenate([x[:, 1:], x[:, -1:]], axis=1)
-    return jnp.concatenate([before, x, after])

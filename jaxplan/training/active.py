@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxplan.errors import FileError
 from jaxplan.feasibility.classifier import Classifier, Model
-from jaxplan.feasibility.features import FeatureConfig, motion_features
+from jaxplan.feasibility.features import motion_features
 from jaxplan.feasibility.gaussian_process import marginals
 from jaxplan.minsnap.batch import SplineBatch
 from jaxplan.numerics import in_float64
@@ -89,11 +89,9 @@ def judged(classifier: Classifier, motion: Float[np.ndarray, "f p n"]) -> Float[
 _judge = jax.jit(lambda classifier, motion: classifier.judge(motion).probability)
 
 
-def latents(
-    config: FeatureConfig, model: Model, motion: Float[np.ndarray, "f p n"]
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+def latents(model: Model, motion: Float[np.ndarray, "f p n"]) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Mean and variance of the latent function for many flights (host)."""
-    find = jax.jit(lambda some: marginals(model.process, model.inputs(config, some)))
+    find = jax.jit(lambda some: marginals(model.process, model.inputs(some)))
     parts = [find(jnp.asarray(part)) for part in np.array_split(motion, -(-motion.shape[-1] // LANES), axis=-1)]
     return tuple(np.concatenate(leaves) for leaves in zip(*parts, strict=True))  # type: ignore[return-value]
 

@@ -1,4 +1,4 @@
-"""Training of the feasibility classifier: feature network and process together, by the evidence's lower bound."""
+"""Training of the feasibility classifier: its process, by the evidence's lower bound."""
 
 import dataclasses
 from collections.abc import Callable
@@ -14,7 +14,6 @@ from scipy.special import ndtr
 
 from jaxplan.errors import InputError
 from jaxplan.feasibility.classifier import Model, new_model
-from jaxplan.feasibility.features import FeatureConfig
 from jaxplan.feasibility.gaussian_process import Related, lower_bound
 
 
@@ -22,7 +21,6 @@ from jaxplan.feasibility.gaussian_process import Related, lower_bound
 class ClassifierConfig:
     """How the classifier is trained."""
 
-    features: FeatureConfig = FeatureConfig()
     inducing: int = 128
     steps: int = 3000
     batch: int = 256
@@ -30,8 +28,6 @@ class ClassifierConfig:
     """At its highest; warmed up and annealed by a cosine."""
     related_to_low: bool = True
     """Whether the low fidelity is seen; without it there are the rollouts alone."""
-    weight_decay: float = 1e-3
-    """Of the feature network."""
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -60,7 +56,7 @@ def train_classifier(config: ClassifierConfig, labelled: Labelled, start: Model 
         raise InputError("classifier: want labels, have none")
     optimiser, model = _optimiser(config), start
     if model is None:
-        model = new_model(config.features, config.inducing, config.seed, related_to_low=config.related_to_low)
+        model = new_model(config.inducing, config.seed, labelled.motion, related_to_low=config.related_to_low)
     state = _State(model, optimiser.init(model))
     advance = _build_advance(config)
     losses = []
@@ -97,7 +93,7 @@ def _build_advance(config: ClassifierConfig) -> Callable[..., tuple[_State, Arra
     optimiser = _optimiser(config)
 
     def loss(model: Model, drawn: Labelled, size: Array) -> Array:
-        return -lower_bound(model.process, model.inputs(config.features, drawn.motion), drawn.feasible, size)
+        return -lower_bound(model.process, model.inputs(drawn.motion), drawn.feasible, size)
 
     @jax.jit
     def advance(state: _State, *data: Any) -> tuple[_State, Array]:
@@ -114,12 +110,6 @@ def _draw(labelled: Labelled, count: int, rng: np.random.Generator) -> Labelled:
 
 
 def _optimiser(config: ClassifierConfig) -> optax.GradientTransformation:
-    def decayed(model: Model) -> Model:
-        flags = [jax.tree.map(lambda _, part=part: part == 0, tree) for part, tree in enumerate(model)]
-        return Model(*flags)
-
     warm = min(100, config.steps // 10 + 1)
     rate = optax.warmup_cosine_decay_schedule(0.0, config.learning_rate, warm, max(config.steps, warm + 1))
-    return optax.chain(
-        optax.clip_by_global_norm(10.0), optax.adamw(rate, weight_decay=config.weight_decay, mask=decayed)
-    )
+    return optax.chain(optax.clip_by_global_norm(10.0), optax.adam(rate))

@@ -94,14 +94,15 @@ def reinforce(
         examples: training sequences with their minimum-snap labels.
         parameters: the pretrained weights.
     """
-    run = _resume(folder, config, parameters)
+    claim(folder, config, free=("rounds",))
     climb = in_float64(build_climb(network, parameters, vehicle, config.reinforce))
     durations = in_float64(jax.jit(lambda weights, some: jnp.exp(log_durations(PolicyNetwork(network), weights, some))))
     airfield = _Airfield(config, examples, vehicle, active.build_solve(vehicle, labels), durations)
+    run = _resume(folder, Run(start_learning(parameters, config.reinforce), airfield.prior(parameters), 0))
     for index in range(run.done, config.rounds):
         row = _label(folder, index, run, airfield)
         run = _teach(folder, index, run, config)
-        classifier = make_classifier(config.classifier.features, run.model)
+        classifier = make_classifier(run.model)
         learner, earned = run.learner, []
         steps = range(index * config.steps, (index + 1) * config.steps)
         for batch, key in batches(examples, config.batch, config.seed, steps):
@@ -130,25 +131,30 @@ class _Airfield(NamedTuple):
     durations: Callable[..., Float[np.ndarray, "m n"]]
     """(weights, sequences): a policy's durations [s]."""
 
-    def try_out(self, run: Run, size: int, rng: np.random.Generator) -> active.Flights:
+    def try_out(self, parameters: Any, size: int, rng: np.random.Generator) -> active.Flights:
         """Noisy flights of the present policy on random sequences."""
         some = lanes_of(self.examples, rng.integers(len(self.examples.count), size=size))
         filled = np.resize(np.arange(size), -(-size // active.LANES) * active.LANES)
         parts = [
-            np.asarray(self.durations(run.learner.parameters, lanes_of(some, lanes)), float)
+            np.asarray(self.durations(parameters, lanes_of(some, lanes)), float)
             for lanes in np.split(filled, len(filled) // active.LANES)
         ]
         durations = np.concatenate(parts, axis=-1)[:, :size]
         tried = active.perturbed(durations, self.config.span, self.config.noise, rng)
         return self.solve(as_queries(some), np.where(some.durations > 0.0, tried, 0.0))
 
+    def prior(self, parameters: Any) -> Model:
+        """A classifier that has seen where a policy's flights lie, but no rollout."""
+        flights = self.try_out(parameters, active.LANES, np.random.default_rng([self.config.seed, 3]))
+        return new_model(self.config.classifier.inducing, self.config.seed, flights.motion)
+
 
 def _label(folder: Path, index: int, run: Run, airfield: _Airfield) -> dict[str, Any]:
     """Fly, choose, roll out and keep one round's labels; the classifier's scores on those taken at random."""
     config, first = airfield.config, index == 0
     size = config.first_labels if first else config.pool
-    flights = airfield.try_out(run, size, np.random.default_rng([config.seed, index, 1]))
-    believed = active.judged(make_classifier(config.classifier.features, run.model), flights.motion)
+    flights = airfield.try_out(run.learner.parameters, size, np.random.default_rng([config.seed, index, 1]))
+    believed = active.judged(make_classifier(run.model), flights.motion)
     unbiased = np.arange(size if first else config.random)
     chosen = np.arange(0) if first else len(unbiased) + active.least_certain(believed[len(unbiased) :], config.chosen)
     lanes = np.concatenate([unbiased, chosen])
@@ -161,9 +167,9 @@ def _label(folder: Path, index: int, run: Run, airfield: _Airfield) -> dict[str,
 def _calibrated(run: Run, airfield: _Airfield) -> Model:
     """The final model, its probabilities set right on fresh rollouts of the final policy, unseen in training."""
     config, size = airfield.config, airfield.config.calibration
-    flights = airfield.try_out(run, size, np.random.default_rng([config.seed, config.rounds, 2]))
+    flights = airfield.try_out(run.learner.parameters, size, np.random.default_rng([config.seed, config.rounds, 2]))
     feasible = active.roll_out(flights, np.arange(size), airfield.vehicle, seed=config.seed + config.rounds)
-    return calibrate(run.model, *active.latents(config.classifier.features, run.model, flights.motion), feasible)
+    return calibrate(run.model, *active.latents(run.model, flights.motion), feasible)
 
 
 def _teach(folder: Path, index: int, run: Run, config: MfrlConfig) -> Run:
@@ -173,16 +179,13 @@ def _teach(folder: Path, index: int, run: Run, config: MfrlConfig) -> Run:
     if index == 0:
         rate = 3.0 * config.classifier.learning_rate
         settings = dataclasses.replace(settings, steps=config.first_steps, learning_rate=rate)
-    model, _ = train_classifier(settings, labelled, None if index == 0 else run.model)
+    model, _ = train_classifier(settings, labelled, run.model)
     return run._replace(model=model)
 
 
-def _resume(folder: Path, config: MfrlConfig, parameters: Any) -> Run:
+def _resume(folder: Path, fresh: Run) -> Run:
     """The run in ``folder``, or a new one."""
-    claim(folder, config, free=("rounds",))
     saved = folder / "state.msgpack"
-    model = new_model(config.classifier.features, config.classifier.inducing, config.seed)
-    fresh = Run(start_learning(parameters, config.reinforce), model, 0)
     if not saved.exists():
         return fresh
     leaves = serialization.from_bytes(_savable(fresh), saved.read_bytes())

@@ -12,13 +12,14 @@ from jaxplan.errors import FileError, InputError
 from jaxplan.feasibility.checkpoint import classifier_card, load_classifier, save_classifier
 from jaxplan.feasibility.classifier import make_classifier, new_model
 from jaxplan.feasibility.features import (
+    DURATION,
     INSTANTS,
     MARGIN,
     MOTION_FEATURES,
-    FeatureConfig,
-    FeatureNetwork,
+    YAWING,
     low_fidelity,
     motion_features,
+    summarise,
 )
 from jaxplan.feasibility.gaussian_process import (
     Rbf,
@@ -40,8 +41,6 @@ from jaxplan.training.classifier import ClassifierConfig, Labelled, calibrate, t
 from jaxplan.training.scores import area_under_curve, binary_scores
 from jaxplan.vehicle.limits import least_rotor_margin, thrust_limit_margin
 from jaxplan.vehicle.params import load_vehicle
-
-SMALL = FeatureConfig(width=8, latent=3)
 
 
 def random_process(kernel, dimensions, count=20, seed=0):
@@ -168,7 +167,7 @@ def test_features_do_not_change_when_a_flight_is_moved_or_turned():
     assert np.abs(here - features_of(points, derivatives, yaw, 0.8 * durations)).max() > 0.1
 
 
-def test_the_low_fidelity_is_the_least_margin_and_the_network_does_not_see_it():
+def test_the_low_fidelity_is_the_least_margin_and_the_summary_does_not_have_it():
     flight = random_flights(lanes=40)
     vehicle, motion = load_vehicle(), features_of(*flight)
     with jax.enable_x64(True):
@@ -180,16 +179,29 @@ def test_the_low_fidelity_is_the_least_margin_and_the_network_does_not_see_it():
     np.testing.assert_allclose(low, least / (1.0 + np.abs(least)) ** 0.75, rtol=1e-3, atol=1e-3)
     assert 0 < (speeds >= 0.0).sum() < 40
     np.testing.assert_array_equal(low >= 0.0, speeds >= 0.0)
-    network = FeatureNetwork(SMALL)
-    weights, other = network.init(jax.random.key(0), jnp.asarray(motion)), motion.copy()
+    other = motion.copy()
     other[MARGIN] = 7.0
-    np.testing.assert_array_equal(network.apply(weights, motion), network.apply(weights, other))
+    np.testing.assert_array_equal(summarise(jnp.asarray(motion)), summarise(jnp.asarray(other)))
+
+
+def test_a_summary_is_extremes_and_means_and_turning_left_counts_as_turning_right():
+    motion = random_motion(5, 0)
+    found, seen = np.asarray(summarise(jnp.asarray(motion))), motion[:DURATION].copy()
+    seen[YAWING] = np.abs(seen[YAWING])
+    wanted = np.concatenate([seen.max(axis=1), seen.min(axis=1), seen.mean(axis=1), motion[DURATION, :1]])
+    np.testing.assert_allclose(found, wanted, atol=1e-6)
+    mirrored = motion.copy()
+    mirrored[YAWING] *= -1.0
+    np.testing.assert_array_equal(found, summarise(jnp.asarray(mirrored)))
+
+
+def random_motion(count, seed):
+    return np.random.default_rng(seed).normal(size=(MOTION_FEATURES, INSTANTS, count)).astype(np.float32)
 
 
 def learnable(count, seed):
     """Motions whose label is the least margin with noise, which the other features do not tell."""
-    rng = np.random.default_rng(seed)
-    motion = rng.normal(size=(MOTION_FEATURES, INSTANTS, count)).astype(np.float32)
+    rng, motion = np.random.default_rng([seed, 1]), random_motion(count, seed)
     motion[MARGIN] += 1.5 * rng.normal(size=count).astype(np.float32)
     least = motion[MARGIN].min(axis=0)
     return Labelled(motion, least + 0.2 * rng.normal(size=count) > np.median(least))
@@ -197,19 +209,19 @@ def learnable(count, seed):
 
 def test_a_classifier_learns_from_the_low_fidelity_and_is_the_same_from_its_file(tmp_path):
     seen, unseen = learnable(2000, 0), learnable(1000, 1)
-    config = ClassifierConfig(features=SMALL, inducing=16, steps=400, batch=128, learning_rate=1e-2)
+    config = ClassifierConfig(inducing=16, steps=400, batch=128, learning_rate=1e-2)
     model, loss = train_classifier(config, seen)
     assert np.isfinite(loss)
-    found = make_classifier(SMALL, model).judge(jnp.asarray(unseen.motion))
+    found = make_classifier(model).judge(jnp.asarray(unseen.motion))
     scores = binary_scores(np.asarray(found.probability, float), unseen.feasible)
     assert scores["auc"] > 0.9
     assert scores["brier"] < 0.15
     assert (np.asarray(found.deviation) > 0.0).all()
     blind, _ = train_classifier(dataclasses.replace(config, related_to_low=False), seen)
-    guessed = make_classifier(SMALL, blind).judge(jnp.asarray(unseen.motion)).probability
+    guessed = make_classifier(blind).judge(jnp.asarray(unseen.motion)).probability
     assert area_under_curve(np.asarray(guessed, float), unseen.feasible) < 0.6
     path = tmp_path / "mine.npz"
-    save_classifier(path, SMALL, model, {"command": "none"})
+    save_classifier(path, model, {"command": "none"})
     again = load_classifier(path).judge(jnp.asarray(unseen.motion))
     np.testing.assert_array_equal(found.probability, again.probability)
     assert classifier_card(path)["command"] == "none"
@@ -230,13 +242,13 @@ def test_calibration_undoes_a_wrong_scale_and_offset():
     assert float(found.process.kernel.own.log_scale) == pytest.approx(-np.log(3.0), abs=0.1)
     assert float(found.process.offset) == pytest.approx(-1.0 / 3.0, abs=0.1)
     motion = jnp.asarray(learnable(50, 1).motion)
-    for before, after in zip(latents(SMALL, model, motion), latents(SMALL, found, motion), strict=True):
+    for before, after in zip(latents(model, motion), latents(found, motion), strict=True):
         assert np.corrcoef(before, after)[0, 1] > 0.99
 
 
 def test_gradients_reach_the_durations():
     points, derivatives, yaw, durations = random_flights()
-    classifier = make_classifier(SMALL, random_model())
+    classifier = make_classifier(random_model())
 
     def total(durations):
         state = FlatState(derivatives=jnp.asarray(derivatives), yaw=jnp.asarray(yaw))
@@ -250,7 +262,7 @@ def test_gradients_reach_the_durations():
 
 
 def random_model():
-    model = new_model(SMALL, 8, 0)
+    model = new_model(8, 0, random_motion(40, 0))
     weights = jnp.asarray(np.random.default_rng(0).normal(size=8), jnp.float32)
     return model._replace(process=model.process._replace(mean=weights))
 
@@ -258,9 +270,7 @@ def random_model():
 def test_wrong_settings_are_refused():
     with pytest.raises(InputError, match="batch"):
         ClassifierConfig(batch=0)
-    with pytest.raises(InputError, match="width"):
-        FeatureConfig(width=0)
-    nothing = Labelled(np.zeros((0, INSTANTS, MOTION_FEATURES), np.float32), np.zeros(0, bool))
+    nothing = Labelled(np.zeros((MOTION_FEATURES, INSTANTS, 0), np.float32), np.zeros(0, bool))
     with pytest.raises(InputError, match="want labels"):
         train_classifier(ClassifierConfig(steps=1), nothing)
 

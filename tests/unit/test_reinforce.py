@@ -11,7 +11,7 @@ import pytest
 from jaxplan import cli
 from jaxplan.errors import FileError, InputError
 from jaxplan.feasibility.classifier import make_classifier, new_model
-from jaxplan.feasibility.features import FeatureConfig
+from jaxplan.feasibility.features import motion_features
 from jaxplan.feasibility.gaussian_process import Related, rbf
 from jaxplan.minsnap.batch import fit_each
 from jaxplan.policy.network import NetworkConfig
@@ -26,7 +26,6 @@ from jaxplan.training.reinforce import ReinforceConfig, build_climb, rewards, st
 from jaxplan.vehicle.params import load_vehicle
 
 NETWORK = NetworkConfig(hidden=8, attention=4, latent=2)
-FEATURES = FeatureConfig(width=8, latent=3)
 
 
 @pytest.fixture(scope="module")
@@ -51,12 +50,18 @@ def parameters():
 
 
 @pytest.fixture(scope="module")
-def classifier():
-    """Random opinions that depend on the feature as much as on the margin."""
-    model, length = new_model(FEATURES, 8, 0), float(np.sqrt(FEATURES.latent))
-    kernel = Related(rbf(FEATURES.latent, length), rbf(FEATURES.latent, 2.0 * length), rbf(1))
+def classifier(examples):
+    """Random opinions on such flights, which depend on the summary as much as on the margin."""
+    with jax.enable_x64(True):
+        some = jax.tree.map(jnp.asarray, examples)
+        splines = fit_each(some.initial, some.waypoints, some.durations, 1.5)
+        motion = np.asarray(motion_features(splines, load_vehicle()))
+    model = new_model(8, 0, motion)
+    dimensions = len(model.scales.centre) - 1
+    length = float(np.sqrt(dimensions))
+    kernel = Related(rbf(dimensions, length), rbf(dimensions, 2.0 * length), rbf(1))
     weights = jnp.asarray(2.0 * np.random.default_rng(0).normal(size=8), jnp.float32)
-    return make_classifier(FEATURES, model._replace(process=model.process._replace(kernel=kernel, mean=weights)))
+    return make_classifier(model._replace(process=model.process._replace(kernel=kernel, mean=weights)))
 
 
 def test_the_reward_is_probability_times_saved_time(examples, classifier):
@@ -133,7 +138,7 @@ def test_the_command_refuses_what_is_not_there(tmp_path, capsys):
 @pytest.mark.slow
 def test_a_run_that_was_cut_off_ends_as_one_that_was_not(tmp_path, examples, parameters):
     """Two rounds with rollouts, in one go and with a stop after the first."""
-    small = ClassifierConfig(features=FEATURES, inducing=8, steps=10, batch=32)
+    small = ClassifierConfig(inducing=8, steps=10, batch=32)
     config = MfrlConfig(
         classifier=small,
         first_steps=20,
