@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 
 def draw_policy_comparison(
@@ -39,6 +40,7 @@ def draw_policy_comparison(
     second.set(xlabel="largest position error [m]", ylabel="share of flights", xlim=(0.0, 0.5))
     for name, rates in failures.items():
         third.plot(list(rates), list(rates.values()), marker="o", markersize=3, label=name)
+    third.xaxis.set_major_locator(MaxNLocator(integer=True))
     third.set(xlabel="waypoints", ylabel="share not tracked", ylim=(0.0, None))
     for name, scores in curve.items():
         fourth.plot(list(scores), list(scores.values()), marker="o", markersize=3, label=name)
