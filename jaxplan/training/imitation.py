@@ -98,8 +98,9 @@ def thrust_excess(
     vehicle: Vehicle, batch: Examples, durations: Float[Array, "m b"], max_yaw_rate: float
 ) -> Float[Array, "b"]:
     """How far, as a share of its range, and how long [s] each flight's worst rotor would be beyond its limits."""
-    exact = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), (batch.initial, batch.waypoints, durations))
-    splines = fit_each(*exact, max_yaw_rate)
+    exact = (batch.initial, batch.waypoints, durations)
+    initial, waypoints, times = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), exact)
+    splines = fit_each(initial, waypoints, times, max_yaw_rate)
     states = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), splines).states(INSTANTS)
     beyond = jax.nn.relu(RESERVE - thrust_limit_margin(vehicle, states))
     return jnp.mean(beyond, axis=0) * jnp.sum(durations, axis=0)
