@@ -3,9 +3,12 @@
 import dataclasses
 import functools
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jaxplan.versions import require_supported_jax
+
+if TYPE_CHECKING:
+    from jaxplan.training.pretrain import PretrainConfig
 
 
 def dataset(
@@ -106,7 +109,6 @@ def pretrain(
     from jaxplan.errors import InputError
     from jaxplan.policy.checkpoint import load_parameters, load_policy, save_policy
     from jaxplan.policy.network import NetworkConfig
-    from jaxplan.training.dataset import digest, read_config
     from jaxplan.training.evaluate import score_policy
     from jaxplan.training.imitation import ImitationConfig
     from jaxplan.training.pretrain import PretrainConfig
@@ -119,30 +121,30 @@ def pretrain(
     if start is not None:
         network, parameters = load_parameters(start)
         options = {"start": start}
-    config = PretrainConfig(
-        network=network,
-        imitation=ImitationConfig(excess=excess),
-        steps=steps,
-        batch=batch,
-        learning_rate=learning_rate,
-        seed=seed,
-    )
+    imitation = ImitationConfig(excess=excess)
+    config = PretrainConfig(network, steps, batch, learning_rate, imitation, seed=seed)
     state, error = train(run, data, config, start=parameters)
     options |= {"steps": steps, "batch": batch, "learning-rate": learning_rate, "excess": excess, "seed": seed}
-    card = {
-        "command": "jaxplan train pretrain " + " ".join(f"--{key} {value}" for key, value in options.items()),
-        "config": dataclasses.asdict(config),
-        "start": None if start is None else _origin(start),
-        "data": {"sha256": digest(data / "dataset.json"), **dataclasses.asdict(read_config(data))},
-        "steps_taken": int(state.step),
-        "held_out_error_of_total_time": error.overall,
-    }
+    card = _provenance(options, config, start, data)
+    card |= {"steps_taken": int(state.step), "held_out_error_of_total_time": error.overall}
     save_policy(out, network, state.averaged, card)
     if flights:
         card["scores"] = score_policy(load_policy(out), data, flights)
         save_policy(out, network, state.averaged, card)
     print(f"{out}: held-out error of the total time {error.overall:.1%}, {out.stat().st_size / 1e6:.2f} MB")
     return 0
+
+
+def _provenance(options: dict[str, object], config: "PretrainConfig", start: str | None, data: Path) -> dict[str, Any]:
+    """Where a pretrained policy came from."""
+    from jaxplan.training.dataset import digest, read_config
+
+    return {
+        "command": "jaxplan train pretrain " + " ".join(f"--{key} {value}" for key, value in options.items()),
+        "config": dataclasses.asdict(config),
+        "start": None if start is None else _origin(start),
+        "data": {"sha256": digest(data / "dataset.json"), **dataclasses.asdict(read_config(data))},
+    }
 
 
 def _origin(start: str) -> dict[str, Any]:

@@ -62,7 +62,10 @@ def imitation_loss(
     config: ImitationConfig,
     vehicle: Vehicle,
 ) -> Float[Array, ""]:
-    """Squared errors of the log-durations, of the log total time and its response, and what else counts (float64)."""
+    """Squared errors of the log-durations, of the log total time and its response, and what else counts.
+
+    Trace it with 64-bit types: flights are solved in float64; the network stays in float32.
+    """
     mirror_key, latent_key = jax.random.split(key)
     batch = _mirrored(batch, mirror_key)
     frame, memory, bottleneck = read_sequences(network, parameters, batch.waypoints, batch.count)
@@ -97,7 +100,10 @@ def growth_shortfall(change: Float[Array, "b"], alpha: Float[Array, "b"]) -> Flo
 def thrust_excess(
     vehicle: Vehicle, batch: Examples, durations: Float[Array, "m b"], max_yaw_rate: float
 ) -> Float[Array, "b"]:
-    """How far, as a share of its range, and how long [s] each flight's worst rotor would be beyond its limits."""
+    """How far, as a share of its range, and how long [s] each flight's worst rotor would be beyond its limits.
+
+    Less ``RESERVE``: what comes closer to them counts already.
+    """
     exact = (batch.initial, batch.waypoints, durations)
     initial, waypoints, times = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), exact)
     splines = fit_each(initial, waypoints, times, max_yaw_rate)
