@@ -117,8 +117,8 @@ def pretrain(
     measure = build_measure(config)
     for batch, key in batches(training, config.batch, config.seed, range(int(state.step), config.steps)):
         state, loss = advance(state, batch, key)
-        step = int(state.step) if int(state.step) % config.evaluate_every == 0 else 0
-        if not step:
+        step = int(state.step)
+        if step % config.evaluate_every and step < config.steps:
             continue
         error = measure(state.averaged, held_out)
         better = error.overall < best

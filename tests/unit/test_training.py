@@ -203,6 +203,12 @@ def test_training_learns_and_goes_on_where_it_stopped(tmp_path, data):
         pretrain(tmp_path / "part", data, dataclasses.replace(SMALL, seed=1))
 
 
+def test_a_run_shorter_than_an_evaluation_is_evaluated_at_its_end(tmp_path, data):
+    state, error = pretrain(tmp_path, data, dataclasses.replace(SMALL, steps=2), report=lambda text: None)
+    assert int(state.step) == 2
+    assert np.isfinite(error.overall)
+
+
 def test_training_goes_on_from_given_weights(tmp_path, data):
     first, error = pretrain(tmp_path / "first", data, SMALL, report=lambda text: None)
     gentle = dataclasses.replace(SMALL, learning_rate=1e-4)
