@@ -3,10 +3,10 @@
 The error is that of the logarithms, so that short and long flights count alike: of every duration, weighted by its
 share of the flight, and of their sum, where too short counts more than too long: labels are at the boundary. Durations
 that add up well can still be shared out badly, so that a rotor would have to leave its range: the flight that they give
-is solved, and its thrust beyond the limits, which no label has, counts as well. Where a sequence is labelled from a
-second initial state, it is imitated as well, and so is what the change of state does to the total time, in which errors
-that both share cancel. States beyond the rotors' limits have no label; there the flight time must only keep growing
-with alpha, as the arrival iteration needs.
+is solved, and its thrust beyond the limits, of which labels have next to none, counts as well. Where a sequence is
+labelled from a second initial state, it is imitated as well, and so is what the change of state does to the total time,
+in which errors that both share cancel. States beyond the rotors' limits have no label; there the flight time must only
+keep growing with alpha, as the arrival iteration needs.
 """
 
 import dataclasses
@@ -18,6 +18,7 @@ import optax
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxplan.arrival import sped_up
+from jaxplan.errors import InputError
 from jaxplan.minsnap.batch import fit_each
 from jaxplan.policy.network import Bottleneck, PolicyNetwork
 from jaxplan.policy.neural import allocate_times, read_sequences
@@ -52,6 +53,10 @@ class ImitationConfig:
     """``thrust_excess`` [1/s]; with 0 no flight is solved, and a step takes half the time."""
     max_yaw_rate: float = 1.5
     """Of the flights that are solved [rad/s]."""
+
+    def __post_init__(self) -> None:
+        if not self.excess >= 0.0:
+            raise InputError(f"pretrain: excess is {self.excess}, want 0 or more")
 
 
 def imitation_loss(

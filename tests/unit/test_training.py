@@ -284,6 +284,9 @@ def _error_of(state, data):
 def test_wrong_settings_and_missing_data_are_refused(tmp_path):
     with pytest.raises(InputError, match="batch"):
         PretrainConfig(batch=0)
+    for wrong in (-0.1, np.nan):
+        with pytest.raises(InputError, match="excess"):
+            ImitationConfig(excess=wrong)
     with pytest.raises(FileError, match=r"dataset\.json"):
         load_examples(tmp_path, held_out=False)
 
