@@ -4,9 +4,9 @@
 
 Sequences and their minimum-snap labels are made anew, from seeds that no training set has. Each policy's flights are
 flown with noise, as the labels are; a flight fails beyond 0.20 m or 15 degrees. T_MS is the total time at which the
-label's rotors just keep their limits. The learning curve trains classifiers on growing numbers of rollouts of the last
-policy's flights near the boundary, with and without the low fidelity, and scores them on flights of other rooms; it is
-the mean over several draws of the rollouts.
+label's rotors just keep their limits; times are compared flight by flight, and their means. The learning curve trains
+classifiers on growing numbers of rollouts of the last policy's flights near the boundary, with and without the low
+fidelity, and scores them on flights of other rooms; it is the mean over several draws of the rollouts.
 """
 
 import dataclasses
@@ -35,7 +35,8 @@ from jaxplan.viz.policy_comparison import draw_policy_comparison
 
 SEEDS = 1_000_000
 """Added to the seed: no training set is made from as large a one."""
-FIDELITIES = {"rollouts alone": False, "with rotor margins": True}
+ALONE, RELATED = "rollouts alone", "with rotor margins"
+FIDELITIES = {ALONE: False, RELATED: True}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -51,13 +52,13 @@ class Config:
     sequences: int = 2560
     """Of each shard, at most."""
 
-    labels: tuple[int, ...] = (125, 250, 500, 1000, 2000)
+    labels: tuple[int, ...] = (60, 125, 250, 500, 1000, 2000)
     """Numbers of rollouts on the learning curve."""
 
     steps: int = 1500
     """Gradient steps of each classifier of the curve."""
 
-    repeats: int = 3
+    repeats: int = 6
     """Draws of the rollouts that the curve is the mean of."""
 
     tries: int = 4
@@ -171,8 +172,11 @@ def report(results: Results) -> Report:
     ]
     markdown = as_markdown(header, lines)
     scores = as_markdown(
-        ["rollout labels", *FIDELITIES],
-        [[str(count), *(f"{curve[name].get(count, np.nan):.3f}" for name in FIDELITIES)] for count in config.labels],
+        ["rollout labels", *FIDELITIES, "rollouts with margins for the AUC of as many alone"],
+        [
+            [str(count), *(f"{curve[name].get(count, np.nan):.3f}" for name in FIDELITIES), _needed(curve, count)]
+            for count in config.labels
+        ],
     )
     alone = next((row["margin_alone"] for item, row in rows if item.group == "curve"), np.nan)
     curves = f"Area under the classifier's ROC curve (of the margin alone, which needs no rollout: {alone:.3f})"
@@ -208,11 +212,26 @@ def _summary(name, mine, label):
         "policy": name,
         "flights": count,
         "T_over_T_MS": float(relative.mean()),
+        "mean_T_over_mean_T_MS": float(mine["time"].mean() / label["time"].mean()),
         "failed": failed / count,
         "failed_low": low,
         "failed_high": high,
         "median_error_m": float(np.median(mine["error"])),
     }
+
+
+def _needed(curve, count):
+    """How many rollouts with margins rank as well as ``count`` alone: interpolated, and as a share of ``count``."""
+    known = sorted(curve[RELATED])
+    wanted, reached = curve[ALONE].get(count), np.maximum.accumulate([curve[RELATED][labels] for labels in known])
+    if wanted is None or not known or wanted > reached[-1]:
+        return "-"
+    first = int(np.searchsorted(reached, wanted))
+    if first == 0:
+        return f"< {known[0]} ({known[0] / count:.2f})"
+    above = (wanted - reached[first - 1]) / (reached[first] - reached[first - 1])
+    labels = known[first - 1] ** (1.0 - above) * known[first] ** above
+    return f"{labels:.0f} ({labels / count:.2f})"
 
 
 def _by_length(waypoints, failed):

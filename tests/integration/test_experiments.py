@@ -17,7 +17,7 @@ import jax
 import numpy as np
 import pytest
 
-from experiments import closed_loop, guidance, table1, table2
+from experiments import closed_loop, guidance, policy_comparison, table1, table2
 from experiments.closed_loop import EpisodeConfig
 from experiments.optimiser import optimiser_policy
 from experiments.table1_report import PAPER, by_cell, report
@@ -297,3 +297,25 @@ def test_the_report_of_made_up_times_has_the_papers_beside_them(tmp_path: Path) 
     assert "| paper, Titan Xp, 400 | 18.7 | - | 9.5 | 71.2 | - | - | 99.4 |" in found.markdown
     found.figures["stages.png"](tmp_path / "stages.png")
     assert (tmp_path / "stages.png").stat().st_size > 10_000
+
+
+def test_the_report_of_made_up_flights_says_how_many_rollouts_the_margins_save() -> None:
+    config = policy_comparison.Config(policies=("mine",), labels=(100, 200, 400), shards=1, repeats=2)
+    flights = {"time": [2.0, 8.0], "error": [0.1, 0.3], "tracked": [True, False]}
+    flown = {"waypoints": [3, 9], "label": flights, "mine": {**flights, "time": [2.0, 6.0], "tracked": [True, True]}}
+    found = {"rollouts alone": (0.6, 0.8, 0.849), "with rotor margins": (0.75, 0.85, 0.84)}
+    items, rows = policy_comparison.items(config), []
+    for item in items:
+        if item.group == "flights":
+            rows.append(flown)
+            continue
+        name, shift = item.values["kind"], 0.02 * item.values["draw"] - 0.01
+        auc = found[name][config.labels.index(item.values["labels"])] + shift
+        rows.append({"labels": item.values["labels"], "auc": auc, "margin_alone": 0.7})
+    seen = policy_comparison.report(Results(config, items, rows, [1.0] * len(rows), [True], {}, {}))
+    (label, mine), text = seen.table, seen.markdown
+    assert (label["failed"], mine["failed"]) == (0.5, 0.0)
+    assert (mine["T_over_T_MS"], mine["mean_T_over_mean_T_MS"]) == pytest.approx((0.875, 0.8))
+    assert "| 100 | 0.600 | 0.750 | < 100 (1.00) |" in text
+    assert "| 200 | 0.800 | 0.850 | 141 (0.71) |" in text
+    assert "| 400 | 0.849 | 0.840 | 199 (0.50) |" in text
