@@ -148,7 +148,7 @@ def _curve(config, count, related, draw):
     settings = ClassifierConfig(steps=config.steps, related_to_low=related, seed=draw)
     model, _ = train_classifier(settings, Labelled(seen.motion[..., some], seen.feasible[some]))
     chance = active.judged(make_classifier(model), unseen.motion)
-    margin = np.asarray(low_fidelity(unseen.motion))
+    margin = np.asarray(low_fidelity(unseen.motion))[0]
     auc, without_rollouts = (area_under_curve(score, unseen.feasible) for score in (chance, margin))
     return {"labels": count, "related": related, "auc": auc, "margin_alone": without_rollouts}
 

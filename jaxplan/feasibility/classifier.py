@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxplan.feasibility.features import low_fidelity, motion_features, summarise
+from jaxplan.feasibility.features import LOW_FIDELITIES, low_fidelity, motion_features, summarise
 from jaxplan.feasibility.gaussian_process import (
     Posterior,
     Process,
@@ -89,9 +89,9 @@ def new_model(inducing: int, seed: int, motion: Float[Array, "f p n"], *, relate
     keys = jax.random.split(jax.random.key(seed), 2)
     chosen = jax.random.choice(keys[0], len(seen), (inducing,), replace=len(seen) < inducing)
     places = (seen[chosen] - scales.centre) / scales.spread
-    dimensions = seen.shape[1] - related_to_low
+    dimensions = seen.shape[1] - (LOW_FIDELITIES if related_to_low else 0)
     length = float(np.sqrt(dimensions))
-    kernel = related(dimensions, length) if related_to_low else rbf(dimensions, length)
+    kernel = related(dimensions, LOW_FIDELITIES, length) if related_to_low else rbf(dimensions, length)
     return Model(scales, new_process(kernel, places + APART * jax.random.normal(keys[1], places.shape, places.dtype)))
 
 
@@ -107,7 +107,7 @@ def _inputs(scales: Scales, motion: Float[Array, "f p n"], related_to_low: bool)
 
 def _seen(motion: Float[Array, "f p n"], related_to_low: bool) -> Float[Array, "n d"]:
     summary = summarise(motion)
-    return (jnp.concatenate([summary, low_fidelity(motion)[None]]) if related_to_low else summary).T
+    return (jnp.concatenate([summary, low_fidelity(motion)]) if related_to_low else summary).T
 
 
 _prepared = jax.jit(prepare)

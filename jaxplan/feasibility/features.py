@@ -14,14 +14,19 @@ from jaxplan.vehicle.limits import thrust_limit_margin
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.vectors import dot, length
 
-INSTANTS = 24
+INSTANTS = 20
 MOTION_FEATURES = 12
 YAWING = slice(8, 10)
 """Which of them are yaw rate and yaw acceleration,"""
 DURATION = 10
 """the duration,"""
 MARGIN = 11
-"""and the margin, whose least value is the low fidelity."""
+"""and the margin, of which the low fidelity is made."""
+LOW_FIDELITIES = 2
+SCARCE = 0.2
+"""Compressed margin below which a rotor has little left,"""
+SHORT = 0.04
+"""and the time [s] times margin that counts as none: both arbitrary."""
 GRAVITY = 9.81
 LEAST_THRUST = 0.5
 """Specific thrust [m/s^2] below which its direction counts as changing no faster (arbitrary)."""
@@ -57,9 +62,14 @@ def motion_features(splines: SplineBatch, vehicle: Vehicle) -> Float[Array, "f p
     return jnp.stack(features)
 
 
-def low_fidelity(motion: Float[Array, "f p k"]) -> Float[Array, "k"]:
-    """The least margin to the rotors' limits over each trajectory: negative where one would have to exceed them."""
-    return jnp.min(motion[MARGIN], axis=0)
+def low_fidelity(motion: Float[Array, "f p k"]) -> Float[Array, "l k"]:
+    """How far the rotors of each trajectory are from their limits, and how far and long beyond, on a logarithmic scale.
+
+    The first is negative where a rotor would have to exceed its limits, which it may for an instant.
+    """
+    duration = jnp.exp(motion[DURATION, 0])
+    lacking = jnp.mean(jnp.maximum(SCARCE - motion[MARGIN], 0.0), axis=0)
+    return jnp.stack([jnp.min(motion[MARGIN], axis=0), jnp.log(duration * lacking + SHORT)])
 
 
 def summarise(motion: Float[Array, "f p k"]) -> Float[Array, "s k"]:

@@ -7,8 +7,8 @@ q(v) = N(mean, root root^T). Then (Hensman, Matthews & Ghahramani, AISTATS 2015)
 
 and the evidence lower bound is sum_i E log Phi(y_i f(x_i)) - KL(q(v) || N(0, I)).
 
-The kernel relates the high fidelity to the value f_low of the low one (Perdikaris et al., Proc. R. Soc. A 473, 2017;
-Li et al., MFRL): k_own(z, z') + k_corr(z, z') (k_f(f_low, f_low') + f_low f_low').
+The kernel relates the high fidelity to the l values f_low of the low one (Perdikaris et al., Proc. R. Soc. A 473, 2017;
+Li et al., MFRL): k_own(z, z') + k_corr(z, z') (k_f(f_low, f_low') + f_low . f_low' / l).
 """
 
 from typing import NamedTuple
@@ -39,16 +39,22 @@ class Rbf(NamedTuple):
 
 
 class Related(NamedTuple):
-    """The kernel of the high fidelity, on inputs (z, f_low)."""
+    """The kernel of the high fidelity, on inputs (z, f_low), f_low of l numbers."""
 
     own: Rbf
     correlation: Rbf
     low: Rbf
     """On f_low alone."""
 
-    def __call__(self, x: Float[Array, "n d+1"], y: Float[Array, "m d+1"]) -> Float[Array, "n m"]:
-        shared = self.low(x[:, -1:], y[:, -1:]) + x[:, -1:] @ y[:, -1:].T
-        return self.own(x[:, :-1], y[:, :-1]) + self.correlation(x[:, :-1], y[:, :-1]) * shared
+    def __call__(self, x: Float[Array, "n d+l"], y: Float[Array, "m d+l"]) -> Float[Array, "n m"]:
+        (x, x_low), (y, y_low) = self.split(x), self.split(y)
+        shared = self.low(x_low, y_low) + x_low @ y_low.T / x_low.shape[1]
+        return self.own(x, y) + self.correlation(x, y) * shared
+
+    def split(self, x: Float[Array, "n d+l"]) -> tuple[Float[Array, "n d"], Float[Array, "n l"]]:
+        """z and f_low."""
+        d = len(self.own.log_lengths)
+        return x[:, :d], x[:, d:]
 
 
 class Process(NamedTuple):
@@ -78,9 +84,13 @@ def rbf(dimensions: int, length: float = 1.0, scale: float = 1.0) -> Rbf:
     return Rbf(jnp.full(dimensions, np.log(length), jnp.float32), jnp.float32(np.log(scale)))
 
 
-def related(dimensions: int, length: float = 1.0) -> Related:
+def related(dimensions: int, low: int, length: float = 1.0) -> Related:
     """A priori the low fidelity counts much, and alike nearly everywhere: what departs from that takes labels."""
-    return Related(own=rbf(dimensions, length), correlation=rbf(dimensions, 8.0 * length, 2.0), low=rbf(1, 0.5))
+    return Related(
+        own=rbf(dimensions, length),
+        correlation=rbf(dimensions, 8.0 * length, 2.0),
+        low=rbf(low, 0.5 * float(np.sqrt(low))),
+    )
 
 
 def new_process(kernel: Rbf | Related, inducing: Float[Array, "m d"]) -> Process:
@@ -157,4 +167,4 @@ def _diagonal(kernel: Rbf | Related, x: Float[Array, "n d"]) -> Float[Array, "n"
     if isinstance(kernel, Rbf):
         return jnp.full(len(x), jnp.exp(2.0 * kernel.log_scale))
     own, correlation, low = (jnp.exp(2.0 * part.log_scale) for part in kernel)
-    return own + correlation * (low + x[:, -1] ** 2)
+    return own + correlation * (low + jnp.mean(kernel.split(x)[1] ** 2, axis=1))

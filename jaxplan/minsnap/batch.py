@@ -5,7 +5,7 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxplan.minsnap import hermite
 from jaxplan.minsnap.problem import POSITION_ORDER, YAW_ORDER, interpolate
@@ -48,11 +48,18 @@ class SplineBatch:
         duration = jnp.where(duration > 0.0, duration, 1.0)
         begun = jnp.take_along_axis(ends - self.durations, segment, axis=0)
         s = jnp.clip((times - begun) / duration, 0.0, 1.0)
-        position = jnp.take_along_axis(jnp.moveaxis(self.position, 0, 2), segment[None, None], axis=2)
-        yaw = jnp.take_along_axis(jnp.moveaxis(self.yaw[:, :, 0], 0, 1), segment[None], axis=1)
+        position, yaw = self._coefficients(segment)
         rows = [_horner(position, s, duration, derivative) for derivative in range(5)]
         turns = [_horner(yaw, s, duration, derivative) for derivative in range(3)]
         return FlatState(derivatives=jnp.stack(rows), yaw=jnp.stack(turns))
+
+    def _coefficients(self, segment: Int[Array, "p k"]) -> tuple[Float[Array, "10 3 p k"], Float[Array, "6 p k"]]:
+        """Those of p segments of each spline: position and yaw are gathered together, which is faster."""
+        segments, width, axes, lanes = self.position.shape
+        flat = self.position.reshape(segments, width * axes, lanes)
+        both = jnp.moveaxis(jnp.concatenate([flat, self.yaw[:, :, 0]], axis=1), 0, 1)
+        found = jnp.take_along_axis(both, segment[None], axis=1)
+        return found[: width * axes].reshape(width, axes, *segment.shape), found[width * axes :]
 
     def derivatives(self, s: np.ndarray) -> Float[Array, "m s 5 3 k"]:
         """Position to snap at the normalised times ``s`` of every segment; derivatives are 0 on padding."""

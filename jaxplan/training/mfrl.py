@@ -41,9 +41,9 @@ class MfrlConfig:
     """Steps and learning rate of every round but the first."""
     first_steps: int = 2000
     """Classifier's steps in the first round, at three times the learning rate."""
-    first_labels: int = 12_000
+    first_labels: int = 10_000
     """Rollouts of the first round, at random."""
-    rounds: int = 24
+    rounds: int = 50
     pool: int = 2048
     """Flights of which each round chooses what to label."""
     chosen: int = 256

@@ -31,11 +31,14 @@ class ReinforceConfig:
     """How a policy is reinforced."""
 
     method: Literal["ppo", "gradient"] = "gradient"
-    bonus: float = 1.0
+    bonus: float = 0.6
     ceiling: float = float("inf")
     """Largest gain of time that is rewarded."""
-    learning_rate: float = 2e-4
-    anchor: float = 0.003
+    learning_rate: float = 3e-4
+    """At first."""
+    halved: int = 2000
+    """Steps after which the learning rate is half of that; after twice as many it is a third."""
+    anchor: float = 0.001
     """Weight of the divergence from the policy that training began with, both as normal distributions of
     ``deviation`` about the logarithms of the durations."""
     deviation: float = 0.1
@@ -56,7 +59,7 @@ class ReinforceConfig:
         for name in ("learning_rate", "deviation", "ratio", "max_yaw_rate"):
             if not getattr(self, name) > 0.0:
                 raise InputError(f"reinforce: {name} is {getattr(self, name)}, want a positive number")
-        for name in ("tries", "passes"):
+        for name in ("tries", "passes", "halved"):
             if getattr(self, name) < 1:
                 raise InputError(f"reinforce: {name} is {getattr(self, name)}, want 1 or more")
 
@@ -209,4 +212,5 @@ def _divergence(logs: Float[Array, "m b"], known: Float[Array, "m b"], deviation
 
 
 def _optimiser(config: ReinforceConfig) -> optax.GradientTransformation:
-    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(config.learning_rate))
+    rate = lambda step: config.learning_rate / (1.0 + step / config.halved)  # noqa: E731
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate))

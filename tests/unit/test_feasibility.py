@@ -14,8 +14,11 @@ from jaxplan.feasibility.classifier import make_classifier, new_model
 from jaxplan.feasibility.features import (
     DURATION,
     INSTANTS,
+    LOW_FIDELITIES,
     MARGIN,
     MOTION_FEATURES,
+    SCARCE,
+    SHORT,
     YAWING,
     low_fidelity,
     motion_features,
@@ -50,11 +53,11 @@ def random_process(kernel, dimensions, count=20, seed=0):
     return process._replace(mean=jnp.asarray(rng.normal(size=count), jnp.float32), root=jnp.asarray(root, jnp.float32))
 
 
-@pytest.mark.parametrize("kernel", [rbf(3, 1.5, 1.2), related(2)], ids=["low", "high"])
+@pytest.mark.parametrize("kernel", [rbf(4, 1.5, 1.2), related(3, 1), related(2, 2)], ids=["no low", "one", "two"])
 def test_marginals_follow_their_definition(kernel):
     """The distribution of f(x) under q, written out with inverses in float64."""
-    process = random_process(kernel, 3)
-    x = np.random.default_rng(1).uniform(-2, 2, (7, 3))
+    process = random_process(kernel, 4)
+    x = np.random.default_rng(1).uniform(-2, 2, (7, 4))
     exact = jax.tree.map(lambda leaf: np.asarray(leaf, float), process)
     with jax.enable_x64(True):
         inner = np.asarray(exact.kernel(jnp.asarray(exact.inducing), jnp.asarray(exact.inducing)))
@@ -75,10 +78,10 @@ def test_marginals_follow_their_definition(kernel):
 
 def test_kernels_are_positive_definite_and_the_second_depends_on_the_first():
     x = jnp.asarray(np.random.default_rng(0).normal(size=(30, 4)), jnp.float32)
-    for kernel in (rbf(4), related(3)):
+    for kernel in (rbf(4), related(3, 1), related(2, 2)):
         assert np.linalg.eigvalsh(np.asarray(kernel(x, x), float)).min() > -1e-4
     same = jnp.concatenate([jnp.zeros((2, 3)), jnp.array([[1.0], [-1.0]])], axis=1)
-    covariance = np.asarray(related(3)(same, same))
+    covariance = np.asarray(related(3, 1)(same, same))
     assert covariance[0, 1] < covariance[0, 0]
 
 
@@ -167,7 +170,7 @@ def test_features_do_not_change_when_a_flight_is_moved_or_turned():
     assert np.abs(here - features_of(points, derivatives, yaw, 0.8 * durations)).max() > 0.1
 
 
-def test_the_low_fidelity_is_the_least_margin_and_the_summary_does_not_have_it():
+def test_the_low_fidelity_is_made_of_the_margin_and_the_summary_is_not():
     flight = random_flights(lanes=40)
     vehicle, motion = load_vehicle(), features_of(*flight)
     with jax.enable_x64(True):
@@ -175,10 +178,13 @@ def test_the_low_fidelity_is_the_least_margin_and_the_summary_does_not_have_it()
         shares = thrust_limit_margin(vehicle, states)
         speeds = np.asarray(least_rotor_margin(vehicle, states))
     low = np.asarray(low_fidelity(jnp.asarray(motion)))
-    least = 5.0 * np.asarray(shares).min(axis=0)
-    np.testing.assert_allclose(low, least / (1.0 + np.abs(least)) ** 0.75, rtol=1e-3, atol=1e-3)
+    compressed = 5.0 * np.asarray(shares) / (1.0 + np.abs(5.0 * np.asarray(shares))) ** 0.75
+    np.testing.assert_allclose(low[0], compressed.min(axis=0), rtol=1e-3, atol=1e-3)
+    impulse = flight[-1].sum(axis=0) * np.maximum(SCARCE - compressed, 0.0).mean(axis=0)
+    np.testing.assert_allclose(low[1], np.log(impulse + SHORT), atol=2e-3)
+    assert len(low) == LOW_FIDELITIES
     assert 0 < (speeds >= 0.0).sum() < 40
-    np.testing.assert_array_equal(low >= 0.0, speeds >= 0.0)
+    np.testing.assert_array_equal(low[0] >= 0.0, speeds >= 0.0)
     other = motion.copy()
     other[MARGIN] = 7.0
     np.testing.assert_array_equal(summarise(jnp.asarray(motion)), summarise(jnp.asarray(other)))

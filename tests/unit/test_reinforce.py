@@ -11,7 +11,7 @@ import pytest
 from jaxplan import cli
 from jaxplan.errors import FileError, InputError
 from jaxplan.feasibility.classifier import make_classifier, new_model
-from jaxplan.feasibility.features import motion_features
+from jaxplan.feasibility.features import LOW_FIDELITIES, motion_features
 from jaxplan.feasibility.gaussian_process import Related, rbf
 from jaxplan.minsnap.batch import fit_each
 from jaxplan.policy.network import NetworkConfig
@@ -57,9 +57,9 @@ def classifier(examples):
         splines = fit_each(some.initial, some.waypoints, some.durations, 1.5)
         motion = np.asarray(motion_features(splines, load_vehicle()))
     model = new_model(8, 0, motion)
-    dimensions = len(model.scales.centre) - 1
+    dimensions = len(model.scales.centre) - LOW_FIDELITIES
     length = float(np.sqrt(dimensions))
-    kernel = Related(rbf(dimensions, length), rbf(dimensions, 2.0 * length), rbf(1))
+    kernel = Related(rbf(dimensions, length), rbf(dimensions, 2.0 * length), rbf(LOW_FIDELITIES))
     weights = jnp.asarray(2.0 * np.random.default_rng(0).normal(size=8), jnp.float32)
     return make_classifier(model._replace(process=model.process._replace(kernel=kernel, mean=weights)))
 
@@ -98,6 +98,21 @@ def test_steps_climb_the_reward(examples, parameters, classifier, method):
 
 
 @pytest.mark.slow
+def test_steps_become_smaller(examples, parameters, classifier):
+    """Along a gradient that hardly changes, Adam's steps are the learning rate."""
+    config = ReinforceConfig(learning_rate=1e-6, halved=1)
+    with jax.enable_x64(True):
+        climb = build_climb(NETWORK, parameters, load_vehicle(), config)
+        learner, batch, moved = start_learning(parameters, config), jax.tree.map(jnp.asarray, examples), []
+        for step in range(3):
+            after, _ = climb(learner, classifier, batch, jax.random.key(step))
+            change = jax.tree.map(lambda a, b: float(jnp.max(jnp.abs(a - b))), after.parameters, learner.parameters)
+            moved.append(max(jax.tree.leaves(change)))
+            learner = after
+    np.testing.assert_allclose(moved, 1e-6 / np.arange(1, 4), rtol=0.2)
+
+
+@pytest.mark.slow
 def test_an_anchor_holds_the_policy(examples, parameters, classifier):
     """With the divergence alone to minimise, the weights stay where they are."""
     config = ReinforceConfig(anchor=1e6)
@@ -121,7 +136,7 @@ def test_labels_go_where_the_classifier_is_least_sure():
 
 
 def test_wrong_settings_are_refused():
-    for wrong in ({"method": "sarsa"}, {"learning_rate": 0.0}, {"tries": 0}):
+    for wrong in ({"method": "sarsa"}, {"learning_rate": 0.0}, {"tries": 0}, {"halved": 0}):
         with pytest.raises(InputError, match="reinforce"):
             ReinforceConfig(**wrong)
     with pytest.raises(InputError, match="pool"):
