@@ -58,7 +58,7 @@ class Config:
     steps: int = 1500
     """Gradient steps of each classifier of the curve."""
 
-    repeats: int = 6
+    repeats: int = 10
     """Draws of the rollouts that the curve is the mean of."""
 
     tries: int = 4

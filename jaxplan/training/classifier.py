@@ -1,6 +1,7 @@
 """Training of the feasibility classifier: its process, by the evidence's lower bound."""
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -54,11 +55,11 @@ def train_classifier(config: ClassifierConfig, labelled: Labelled, start: Model 
     """Fit to labels, from ``start`` or anew; also the mean loss of the last tenth (host)."""
     if not len(labelled.feasible):
         raise InputError("classifier: want labels, have none")
-    optimiser, model = _optimiser(config), start
+    optimiser, model = _optimiser(config.steps, config.learning_rate), start
     if model is None:
         model = new_model(config.inducing, config.seed, labelled.motion, related_to_low=config.related_to_low)
     state = _State(model, optimiser.init(model))
-    advance = _build_advance(config)
+    advance = _build_advance(config.steps, config.learning_rate)
     losses = []
     for step in range(config.steps):
         rng = np.random.default_rng([config.seed, step])
@@ -89,8 +90,10 @@ def calibrate(model: Model, mean: Float[Array, "n"], variance: Float[Array, "n"]
     return model._replace(process=model.process._replace(kernel=Related(own, correlation, kernel.low), offset=offset))
 
 
-def _build_advance(config: ClassifierConfig) -> Callable[..., tuple[_State, Array]]:
-    optimiser = _optimiser(config)
+@functools.cache
+def _build_advance(steps: int, learning_rate: float) -> Callable[..., tuple[_State, Array]]:
+    """A step of training, compiled once for all that are trained alike."""
+    optimiser = _optimiser(steps, learning_rate)
 
     def loss(model: Model, drawn: Labelled, size: Array) -> Array:
         return -lower_bound(model.process, model.inputs(drawn.motion), drawn.feasible, size)
@@ -109,7 +112,7 @@ def _draw(labelled: Labelled, count: int, rng: np.random.Generator) -> Labelled:
     return Labelled(labelled.motion[..., lanes], labelled.feasible[lanes])
 
 
-def _optimiser(config: ClassifierConfig) -> optax.GradientTransformation:
-    warm = min(100, config.steps // 10 + 1)
-    rate = optax.warmup_cosine_decay_schedule(0.0, config.learning_rate, warm, max(config.steps, warm + 1))
+def _optimiser(steps: int, learning_rate: float) -> optax.GradientTransformation:
+    warm = min(100, steps // 10 + 1)
+    rate = optax.warmup_cosine_decay_schedule(0.0, learning_rate, warm, max(steps, warm + 1))
     return optax.chain(optax.clip_by_global_norm(10.0), optax.adam(rate))
