@@ -238,6 +238,15 @@ def test_a_classifier_learns_from_the_low_fidelity_and_is_the_same_from_its_file
         load_classifier(path)
 
 
+def test_another_training_takes_the_same_program(compilations):
+    config, labelled = ClassifierConfig(inducing=8, steps=3, batch=16), learnable(40, 0)
+    start, _ = train_classifier(config, labelled)
+    compilations.count = 0
+    more = Labelled(labelled.motion[..., 1:], labelled.feasible[1:])
+    train_classifier(dataclasses.replace(config, seed=1), more, start)
+    assert compilations.count == 0
+
+
 def test_calibration_undoes_a_wrong_scale_and_offset():
     """An overconfident, optimistic model, set right on labels drawn from the honest probabilities."""
     rng = np.random.default_rng(0)
