@@ -2,7 +2,8 @@
 
 A trajectory (waypoints, initial state and times give it) is looked at at instants evenly spread over its duration. What
 is taken there does not change when it is moved or turned about the vertical: thrust, tilt, and how fast thrust, speed
-and heading change. Beside these stands the low fidelity, how far the rotors are from their limits.
+and heading change. Beside these stands the low fidelity, how far the rotors are from their limits, and how
+long beyond.
 """
 
 import jax
@@ -23,6 +24,7 @@ DURATION = 10
 MARGIN = 11
 """and the margin, of which the low fidelity is made."""
 LOW_FIDELITIES = 2
+"""Numbers of ``low_fidelity``."""
 SCARCE = 0.2
 """Compressed margin below which a rotor has little left,"""
 SHORT = 0.04

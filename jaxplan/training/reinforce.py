@@ -37,7 +37,7 @@ class ReinforceConfig:
     learning_rate: float = 3e-4
     """At first."""
     halved: int = 2000
-    """Steps after which the learning rate is half of that; after twice as many it is a third."""
+    """Gradient steps after which the learning rate is half of that; after twice as many it is a third."""
     anchor: float = 0.001
     """Weight of the divergence from the policy that training began with, both as normal distributions of
     ``deviation`` about the logarithms of the durations."""
