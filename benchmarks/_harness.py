@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxplan.experiment.provenance import commit, processor
+from jaxplan.runner.provenance import commit, processor
 
 PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "numba", "scikit-image", "minsnap-trajectories", "rotorpy")
 

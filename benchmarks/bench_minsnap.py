@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from jaxplan.minsnap.batched import minimum_snap_batch
-from jaxplan.numerics import in_float64
+from jaxplan.minsnap.many import minimum_snap_batch
+from jaxplan.precision import in_float64
 
 from . import _harness
 
@@ -109,7 +109,7 @@ def measure(sizes, batches, repeats):
 
 def draw(rows, path):
     """Time per problem against the waypoints and against the batch."""
-    from jaxplan.viz.benchmarks import draw_costs
+    from ._figure import draw_costs
 
     ours = [row for row in rows if row["method"] == "solve" and row["dtype"] == "float64"]
     draw_costs(ours, [row for row in rows if "batch" not in row], path)

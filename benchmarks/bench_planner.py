@@ -20,13 +20,13 @@ import numpy as np
 
 from jaxplan import interception
 from jaxplan.config import InterceptConfig
-from jaxplan.minsnap.allocation import time_allocation
-from jaxplan.numerics import in_float64
+from jaxplan.knots import KnotConfig, select_routes
+from jaxplan.minsnap.time_allocation import time_allocation
 from jaxplan.planner import Timer
 from jaxplan.policy.checkpoint import load_parameters
+from jaxplan.precision import in_float64
 from jaxplan.prediction.candidates import candidates_from
 from jaxplan.replanner import Replanner
-from jaxplan.search.knots import KnotConfig, select_routes
 from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes
 from jaxplan.vehicle.limits import rotor_limit_margin

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from jaxplan.minsnap.problem import minimum_snap
+from jaxplan.minsnap.single import minimum_snap
 from jaxplan.tracking.model import PHYSICS_RATE, vehicle_mjcf
 from jaxplan.tracking.track import TrackConfig, track
 from jaxplan.vehicle.params import load_vehicle

@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxplan.arrival import ArrivalConfig, match_arrival
 from jaxplan.feasibility.checkpoint import load_classifier
-from jaxplan.minsnap.batch import fit_each
+from jaxplan.minsnap.spline_batch import fit_each
 from jaxplan.policy.checkpoint import load_policy
 from jaxplan.spline import FlatState
 from jaxplan.vehicle.params import load_vehicle

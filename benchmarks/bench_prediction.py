@@ -18,7 +18,7 @@ from scipy.stats import multivariate_normal
 
 from jaxplan.compilation import compilations
 from jaxplan.io.targets import load_target
-from jaxplan.numerics import in_float64
+from jaxplan.precision import in_float64
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.predictors import PredictionConfig, build_predictor, conditional_draw
 from jaxplan.prediction.target_model import shipped_model, window_coordinates

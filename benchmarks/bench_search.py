@@ -22,13 +22,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from jaxplan.io.targets import load_target, stored_targets
-from jaxplan.numerics import in_float64
-from jaxplan.search.graph import LENGTHS, STEPS
-from jaxplan.search.knots import KnotConfig, select_routes
+from jaxplan.knots import KnotConfig, select_routes
+from jaxplan.precision import in_float64
+from jaxplan.search.kernels.graph import LENGTHS, STEPS
 from jaxplan.search.lattice import build_lattices, choose_level
 from jaxplan.search.routes import find_routes, warmup
 from jaxplan.world.clearance import clearance
-from jaxplan.world.scene import ENVIRONMENTS, load_world
+from jaxplan.world.load import ENVIRONMENTS, load_world
 
 from . import _harness
 

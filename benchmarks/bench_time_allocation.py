@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import minimize
 
-from jaxplan.minsnap.allocation import TimeAllocationConfig, time_allocation
-from jaxplan.minsnap.batched import minimum_snap_batch
-from jaxplan.numerics import in_float64
+from jaxplan.minsnap.many import minimum_snap_batch
+from jaxplan.minsnap.time_allocation import TimeAllocationConfig, time_allocation
+from jaxplan.precision import in_float64
 from jaxplan.vehicle.limits import rotor_limit_margin
 from jaxplan.vehicle.params import load_vehicle
 

@@ -18,10 +18,10 @@ import numpy as np
 from jaxplan.arrival import ArrivalConfig, match_arrival
 from jaxplan.arrival import sped_up as sped_up_state
 from jaxplan.errors import InputError
-from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
-from jaxplan.experiment.tables import as_latex, as_markdown
-from jaxplan.numerics import in_float64
 from jaxplan.policy.checkpoint import load_policy, resolve_policy
+from jaxplan.precision import in_float64
+from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
+from jaxplan.runner.tables import as_latex, as_markdown
 from jaxplan.spline import FlatState
 from jaxplan.tracking.result import TRAINING
 from jaxplan.tracking.track import track
@@ -29,7 +29,8 @@ from jaxplan.training.dataset import build_flights
 from jaxplan.training.evaluate import policy_durations
 from jaxplan.training.labels import LabelConfig, initial_states, sped_up
 from jaxplan.training.sequences import free_queries, join, suffix_queries
-from jaxplan.viz.alpha_iteration import draw_alpha_iteration
+
+from .figures.alpha_iteration import draw_alpha_iteration
 
 ALPHAS = np.round(np.arange(0.7, 2.01, 0.1), 2)
 PASSES = 16

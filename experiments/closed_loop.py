@@ -19,7 +19,7 @@ from jaxplan.prediction.target_model import shipped_model
 from jaxplan.replanner import Replanner
 from jaxplan.tracking.rollout import Plant, build_plant
 from jaxplan.vehicle.params import load_vehicle
-from jaxplan.world.scene import ENVIRONMENTS
+from jaxplan.world.load import ENVIRONMENTS
 
 from .guidance import LAWS, Guidance
 from .optimiser import optimiser_policy

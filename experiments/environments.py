@@ -7,12 +7,12 @@ import dataclasses
 
 import numpy as np
 
-from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
-from jaxplan.experiment.tables import as_latex, as_markdown
 from jaxplan.io.targets import load_target, stored_targets
+from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
+from jaxplan.runner.tables import as_latex, as_markdown
 from jaxplan.viz.world import draw_world_picture
+from jaxplan.world.load import ENVIRONMENTS, environment_path, load_world
 from jaxplan.world.report import lattice_reports, obstacle_counts
-from jaxplan.world.scene import ENVIRONMENTS, environment_path, load_world
 
 from .closed_loop import check_names
 

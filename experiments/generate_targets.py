@@ -19,11 +19,11 @@ import numpy as np
 
 import jaxplan
 from jaxplan.io.targets import target_spline
-from jaxplan.numerics import in_float64
+from jaxplan.precision import in_float64
 from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes
 from jaxplan.world.clearance import clearance, wall_clearance
-from jaxplan.world.scene import load_world
+from jaxplan.world.load import load_world
 
 MARGIN = 0.5
 """Least distance [m] from obstacles and faces (so that goals on the trajectory are free in the padded map)."""

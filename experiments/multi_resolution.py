@@ -14,14 +14,14 @@ import time
 import numpy as np
 
 from jaxplan.errors import InputError
-from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
-from jaxplan.experiment.tables import as_latex, as_markdown
+from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
+from jaxplan.runner.tables import as_latex, as_markdown
 from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes, warmup
-from jaxplan.viz.multi_resolution import draw_multi_resolution
-from jaxplan.world.scene import ENVIRONMENTS, load_world
+from jaxplan.world.load import ENVIRONMENTS, load_world
 
 from .closed_loop import check_names
+from .figures.multi_resolution import draw_multi_resolution
 
 FINEST = SearchConfig(resolutions=(0.1,), distance_fractions=(), first_budget=10**7, last_budget=10**7)
 """One lattice, searched to the end."""

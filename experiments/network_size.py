@@ -18,10 +18,10 @@ import jax
 import numpy as np
 
 from jaxplan.errors import InputError
-from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
-from jaxplan.experiment.tables import as_latex, as_markdown
 from jaxplan.policy.network import NetworkConfig
 from jaxplan.policy.neural import neural_policy
+from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
+from jaxplan.runner.tables import as_latex, as_markdown
 from jaxplan.training.dataset import (
     HELD_OUT,
     DatasetConfig,
@@ -35,7 +35,8 @@ from jaxplan.training.examples import lanes_of, load_examples
 from jaxplan.training.imitation import ImitationConfig
 from jaxplan.training.pretrain import PretrainConfig, pretrain
 from jaxplan.vehicle.params import load_vehicle
-from jaxplan.viz.network_size import draw_network_size
+
+from .figures.network_size import draw_network_size
 
 CANDIDATES = 400
 

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxplan.minsnap.allocation import TimeAllocationConfig, allocate
+from jaxplan.minsnap.time_allocation import TimeAllocationConfig, allocate
 from jaxplan.policy.protocol import Policy
 from jaxplan.spline import FlatState
 

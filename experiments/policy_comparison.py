@@ -16,12 +16,12 @@ import itertools
 import numpy as np
 
 from jaxplan.errors import InputError
-from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
-from jaxplan.experiment.statistics import wilson
-from jaxplan.experiment.tables import as_latex, as_markdown
 from jaxplan.feasibility.classifier import make_classifier
 from jaxplan.feasibility.features import low_fidelity
 from jaxplan.policy.checkpoint import load_policy, resolve_policy
+from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
+from jaxplan.runner.statistics import wilson
+from jaxplan.runner.tables import as_latex, as_markdown
 from jaxplan.tracking.result import TRAINING
 from jaxplan.tracking.track import track
 from jaxplan.training import active
@@ -31,7 +31,8 @@ from jaxplan.training.evaluate import policy_durations
 from jaxplan.training.scores import area_under_curve
 from jaxplan.training.sequences import take
 from jaxplan.vehicle.params import load_vehicle
-from jaxplan.viz.policy_comparison import draw_policy_comparison
+
+from .figures.policy_comparison import draw_policy_comparison
 
 SEEDS = 1_000_000
 """Added to the seed: no training set is made from as large a one."""

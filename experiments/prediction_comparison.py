@@ -15,19 +15,20 @@ import jax
 import numpy as np
 
 from jaxplan.errors import InputError
-from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
-from jaxplan.experiment.tables import as_latex
-from jaxplan.experiment.tables import as_markdown as markdown_table
 from jaxplan.io.target_log import read_target_log, resample
 from jaxplan.io.targets import load_target, stored_targets
-from jaxplan.numerics import in_float64
+from jaxplan.precision import in_float64
 from jaxplan.prediction.candidates import reject_early
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.predictors import PREDICTORS, PredictionConfig, build_predictor
 from jaxplan.prediction.scores import observe_windows, score
 from jaxplan.prediction.target_model import shipped_model
-from jaxplan.viz.prediction import PredictionPanel, draw_predictions
-from jaxplan.world.scene import load_world
+from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
+from jaxplan.runner.tables import as_latex
+from jaxplan.runner.tables import as_markdown as markdown_table
+from jaxplan.world.load import load_world
+
+from .figures.prediction import PredictionPanel, draw_predictions
 
 INTERVALS = {"env1": 0.1, "env2": 0.2, "env3": 0.2}
 """Seconds between predictions (paper, Sec. IV)."""

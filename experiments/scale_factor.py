@@ -14,13 +14,14 @@ from typing import Literal
 import numpy as np
 
 from jaxplan.errors import InputError
-from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
-from jaxplan.experiment.tables import as_latex, as_markdown
-from jaxplan.minsnap.problem import minimum_snap
+from jaxplan.minsnap.single import minimum_snap
+from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
+from jaxplan.runner.tables import as_latex, as_markdown
 from jaxplan.tracking.fidelity import build_labeller
 from jaxplan.tracking.result import TRAINING
 from jaxplan.tracking.track import TrackConfig, track
-from jaxplan.viz.scale_factor import draw_scale_factor
+
+from .figures.scale_factor import draw_scale_factor
 
 ALPHAS = np.round(np.arange(0.7, 2.01, 0.1), 2)
 BISECTIONS = 12

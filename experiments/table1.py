@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from jaxplan.errors import InputError
-from jaxplan.experiment.definition import Experiment, Item, Row
 from jaxplan.feasibility.checkpoint import WEIGHTS as CLASSIFIERS
 from jaxplan.io.targets import stored_targets
 from jaxplan.policy.checkpoint import WEIGHTS
 from jaxplan.prediction import target_model
-from jaxplan.world.scene import ENVIRONMENTS
+from jaxplan.runner.definition import Experiment, Item, Row
+from jaxplan.world.load import ENVIRONMENTS
 
 from . import closed_loop, table1_report
 from .closed_loop import PREDICTORS, EpisodeConfig, available_planners

@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxplan.experiment.definition import Report, Results, Row
-from jaxplan.experiment.statistics import wilson
-from jaxplan.experiment.tables import as_latex, as_markdown, duration
-from jaxplan.viz.success import Bar, Line, draw_failures, draw_success, draw_success_by_speed
+from jaxplan.runner.definition import Report, Results, Row
+from jaxplan.runner.statistics import wilson
+from jaxplan.runner.tables import as_latex, as_markdown, duration
+
+from .figures.success import Bar, Line, draw_failures, draw_success, draw_success_by_speed
 
 PAPER = {
     "no-policy": {"none": 0.14, "ground-truth": 0.40, "noisy-0.01": 0.40, "noisy-0.05": 0.30, "gmm": 0.36},

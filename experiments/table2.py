@@ -14,18 +14,18 @@ import numpy as np
 
 from jaxplan import interception
 from jaxplan.errors import InputError
-from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
-from jaxplan.experiment.registry import bundled
-from jaxplan.experiment.tables import as_latex, as_markdown
 from jaxplan.io.targets import load_target, stored_targets
 from jaxplan.policy.checkpoint import resolve_policy
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.predictors import build_predictor
 from jaxplan.prediction.target_model import shipped_model
-from jaxplan.viz.stages import draw_stages
-from jaxplan.world.scene import ENVIRONMENTS, load_world
+from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
+from jaxplan.runner.registry import bundled
+from jaxplan.runner.tables import as_latex, as_markdown
+from jaxplan.world.load import ENVIRONMENTS, load_world
 
 from .closed_loop import check_names
+from .figures.stages import draw_stages
 
 PAPER = {"predict": 18.7, "search + knots": 9.5, "policy": 71.2, "total": 99.4}
 """Milliseconds on a Titan Xp (paper, Table II)."""

@@ -10,12 +10,13 @@ import numpy as np
 from jaxplan import interception
 from jaxplan.config import InterceptConfig, Planner, Predictor
 from jaxplan.errors import InputError
-from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
-from jaxplan.experiment.tables import as_latex, as_markdown
 from jaxplan.policy.checkpoint import resolve_policy
+from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
+from jaxplan.runner.tables import as_latex, as_markdown
 from jaxplan.viz.candidates import candidate_curves
-from jaxplan.viz.trajectories import draw_moments
-from jaxplan.world.scene import load_world
+from jaxplan.world.load import load_world
+
+from .figures.trajectories import draw_moments
 
 SAMPLES = 6
 """Points of a segment's curve."""

@@ -16,15 +16,16 @@ import jax
 import numpy as np
 
 from jaxplan.errors import InputError
-from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
-from jaxplan.experiment.tables import as_latex, as_markdown
-from jaxplan.minsnap.problem import minimum_snap
-from jaxplan.numerics import in_float64
-from jaxplan.search.knots import KnotConfig, select_routes
+from jaxplan.knots import KnotConfig, select_routes
+from jaxplan.minsnap.single import minimum_snap
+from jaxplan.precision import in_float64
+from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
+from jaxplan.runner.tables import as_latex, as_markdown
 from jaxplan.search.lattice import build_lattices
 from jaxplan.search.routes import find_routes
-from jaxplan.viz.knots import draw_knot_tuning
-from jaxplan.world.scene import ENVIRONMENTS, load_world
+from jaxplan.world.load import ENVIRONMENTS, load_world
+
+from .figures.knots import draw_knot_tuning
 
 DISTANCES = (1.0, 1.5, 2.0, 3.0, 4.0)
 """Values of k_d,min [m] that are tried."""

@@ -13,9 +13,9 @@ _HOMES = {
     "jaxplan.interception": ("Episode", "run"),
     "jaxplan.io.targets": ("load_target",),
     "jaxplan.metrics": ("episode_metrics",),
-    "jaxplan.minsnap.allocation": ("time_allocation",),
-    "jaxplan.minsnap.batched": ("minimum_snap_batch",),
-    "jaxplan.minsnap.problem": ("minimum_snap",),
+    "jaxplan.minsnap.time_allocation": ("time_allocation",),
+    "jaxplan.minsnap.many": ("minimum_snap_batch",),
+    "jaxplan.minsnap.single": ("minimum_snap",),
     "jaxplan.planner": ("Planner", "PlannerConfig", "Plans", "build_planner", "select"),
     "jaxplan.policy.checkpoint": ("load_policy",),
     "jaxplan.policy.constant_speed": ("constant_speed_policy",),
@@ -27,13 +27,13 @@ _HOMES = {
     "jaxplan.tracking.rollout": ("build_plant",),
     "jaxplan.tracking.result": ("TrackingResult",),
     "jaxplan.tracking.track": ("track",),
-    "jaxplan.tracking.user_vehicle": ("load_vehicle",),
+    "jaxplan.vehicle.mjcf": ("load_vehicle",),
     "jaxplan.vehicle.flatness": ("differential_flatness",),
     "jaxplan.vehicle.params": ("Vehicle",),
     "jaxplan.viz.episode": ("draw_episode",),
     "jaxplan.world.clearance": ("clearance",),
     "jaxplan.world.obstacles": ("World",),
-    "jaxplan.world.scene": ("load_world",),
+    "jaxplan.world.load": ("load_world",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

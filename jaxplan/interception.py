@@ -9,29 +9,29 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxplan.batching import in_portions
 from jaxplan.compilation import compilations
 from jaxplan.config import InterceptConfig
 from jaxplan.errors import InputError
 from jaxplan.feasibility.checkpoint import load_classifier
 from jaxplan.io.targets import Target, load_target
-from jaxplan.numerics import in_float64
 from jaxplan.planner import Planner, PlannerConfig, build_planner
-from jaxplan.planner.lanes import in_portions
 from jaxplan.policy.checkpoint import load_policy
 from jaxplan.policy.constant_speed import constant_speed_policy
+from jaxplan.precision import in_float64
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.predictors import PredictionConfig, StepPredictor, build_predictor
 from jaxplan.prediction.stream import ObservationStream, StreamConfig
 from jaxplan.prediction.target_model import load_model, shipped_model
 from jaxplan.replanner import CommittedPlan, Cycle, Replanner, ReplannerConfig
 from jaxplan.search.lattice import SearchConfig, build_lattices
-from jaxplan.search.places import reachable_place
+from jaxplan.search.start_place import reachable_place
 from jaxplan.spline import FlatState, hover
 from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, Plant, build_plant
 from jaxplan.vehicle.params import Vehicle, load_vehicle
 from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import World
-from jaxplan.world.scene import load_world
 
 INTERCEPTION_RADIUS = 0.4
 """Distance [m] that counts as an interception (paper, Sec. IV)."""

@@ -1,26 +1,7 @@
-"""NaN-safe arithmetic and the borders between float64 and float32."""
+"""NaN-safe arithmetic."""
 
-import functools
-from collections.abc import Callable
-from typing import ParamSpec, TypeVar
-
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
-
-P = ParamSpec("P")
-R = TypeVar("R")
-
-
-def in_float64(function: Callable[P, R]) -> Callable[P, R]:
-    """Run a host entry point with 64-bit JAX types, whatever the process's own setting."""
-
-    @functools.wraps(function)
-    def scoped(*args: P.args, **kwargs: P.kwargs) -> R:
-        with jax.enable_x64(True):
-            return function(*args, **kwargs)
-
-    return scoped
 
 
 def safe_norm(x: Float[Array, "..."], axis: int = -1, keepdims: bool = False) -> Float[Array, "..."]:

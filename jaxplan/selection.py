@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, UInt32
 
 from jaxplan.errors import InputError
-from jaxplan.minsnap.batch import SplineBatch
+from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.numerics import safe_norm
 from jaxplan.records import record, replace
 from jaxplan.status import Reason, bit

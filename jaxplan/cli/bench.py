@@ -29,7 +29,7 @@ def bench(name: Benchmark, *, json: str | None = None, debug: bool = False) -> i
         Show the traceback of an error.
     """
     require_supported_jax()
-    from jaxplan.experiment.registry import bundled
+    from jaxplan.runner.registry import bundled
 
     bundled("benchmarks", f"bench_{name.replace('-', '_')}").main([] if json is None else ["--json", json])
     return 0

@@ -14,7 +14,7 @@ from jaxplan.errors import InputError
 from jaxplan.versions import require_supported_jax
 
 if TYPE_CHECKING:
-    from jaxplan.experiment.definition import Experiment
+    from jaxplan.runner.definition import Experiment
 
 EXIT_QUARANTINED = 14
 PRESETS = ("smoke", "small", "full")
@@ -50,7 +50,7 @@ class RunOptions:
 def experiment(*tokens: Annotated[str, EVERY_TOKEN]) -> int:
     """Reproduce a table or a figure: jaxplan experiment NAME --preset smoke|small|full; --list says which there are."""
     require_supported_jax()
-    from jaxplan.experiment.registry import experiment_names, load_experiment
+    from jaxplan.runner.registry import experiment_names, load_experiment
 
     if not tokens or tokens[0] in {"--list", "--help", "-h"}:
         print(f"Usage: {USAGE}\n\nFlags of one: jaxplan experiment NAME --help\n")
@@ -95,7 +95,7 @@ def _app(found: "Experiment", name: str, base: dict[str, Any]) -> App:
 
 def _options_of(found: "Experiment", name: str, tokens: list[str]) -> RunOptions | None:
     """The run's options alone; None where help was asked for and shown."""
-    from jaxplan.experiment.configuration import as_plain
+    from jaxplan.runner.configuration import as_plain
 
     app = _app(found, name, as_plain(found.presets["smoke"]))
     result = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
@@ -104,7 +104,7 @@ def _options_of(found: "Experiment", name: str, tokens: list[str]) -> RunOptions
 
 def _base(found: "Experiment", name: str, options: RunOptions) -> tuple[str, dict[str, Any]]:
     """Preset and fields to begin with: of a file, of a preset, or of the run that is resumed."""
-    from jaxplan.experiment.configuration import as_plain, from_plain, read_config
+    from jaxplan.runner.configuration import as_plain, from_plain, read_config
 
     if options.preset is not None and options.config is not None:
         raise InputError("--preset and --config: have both, want one of them")
@@ -124,7 +124,7 @@ def _folder(name: str, options: RunOptions) -> Path:
 
 
 def _run(name: str, preset: str, config: Any, options: RunOptions) -> int:
-    from jaxplan.experiment.run import Request, run
+    from jaxplan.runner.run import Request, run
 
     folder = _folder(name, options)
     request = Request(

@@ -73,7 +73,7 @@ def gmm(
     from jaxplan.prediction.gmm import FitConfig, fit_mixture
     from jaxplan.prediction.target_model import TargetModel, save_model, window_coordinates
     from jaxplan.prediction.windows import draw_windows
-    from jaxplan.world.scene import load_world
+    from jaxplan.world.load import load_world
 
     if out.suffix != ".npy" or not out.parent.is_dir() or windows < 1:
         have = f"--out {out} and --windows {windows}"

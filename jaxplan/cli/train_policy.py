@@ -42,7 +42,7 @@ def dataset(
     """
     require_supported_jax()
     from jaxplan.errors import InputError
-    from jaxplan.experiment.spread import spread
+    from jaxplan.runner.distribute import spread
     from jaxplan.training.dataset import DatasetConfig, in_turn, make_dataset
 
     if workers < 0 or (workers and scheduler is not None):

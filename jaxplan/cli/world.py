@@ -22,8 +22,8 @@ def world(file: str, *, padding: float = 0.5, out: str = "world.png", debug: boo
     from jaxplan.errors import InputError
     from jaxplan.io.targets import load_target, stored_targets
     from jaxplan.viz.world import draw_world_picture
+    from jaxplan.world.load import load_world
     from jaxplan.world.report import lattice_reports, obstacle_counts
-    from jaxplan.world.scene import load_world
 
     if not Path(out).parent.is_dir() or Path(out).suffix != ".png":
         raise InputError(f"--out: have {out!r}, want a .png file in a folder that exists; correct it")

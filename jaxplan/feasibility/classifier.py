@@ -24,7 +24,7 @@ from jaxplan.feasibility.gaussian_process import (
     rbf,
     related,
 )
-from jaxplan.minsnap.batch import SplineBatch
+from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.vehicle.params import Vehicle
 
 LEAST_SPREAD = 1e-3

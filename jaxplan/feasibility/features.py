@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxplan.minsnap.batch import SplineBatch
+from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.vehicle.limits import thrust_limit_margin
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.vectors import dot, length

@@ -14,7 +14,7 @@ from scipy.interpolate import PchipInterpolator
 
 from jaxplan.errors import InputError
 from jaxplan.io.target_log import read_target_log, resample
-from jaxplan.minsnap.problem import minimum_snap
+from jaxplan.minsnap.single import minimum_snap
 from jaxplan.spline import PiecewisePolynomial
 
 DEFAULT_SPEED = 1.0

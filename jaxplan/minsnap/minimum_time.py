@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxplan.minsnap.batch import SplineBatch
-from jaxplan.minsnap.problem import YAW_ORDER, interpolate
+from jaxplan.minsnap.single import YAW_ORDER, interpolate
+from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.spline import FlatState
 
 Margin = Callable[[FlatState], Float[Array, ""]]

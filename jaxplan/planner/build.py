@@ -13,10 +13,9 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt32
 
+from jaxplan.batching import fill, in_portions, join, pick
 from jaxplan.feasibility.classifier import Classifier
-from jaxplan.minsnap.batch import SplineBatch
-from jaxplan.numerics import in_float64
-from jaxplan.planner.lanes import fill, in_portions, join, pick
+from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.planner.records import (
     APPROACH_GOALS,
     APPROACH_SHARES,
@@ -29,6 +28,7 @@ from jaxplan.planner.records import (
 from jaxplan.planner.stations import Routes, Stations, compile_stations, no_trajectories, shortened
 from jaxplan.planner.warmup import compile_all
 from jaxplan.policy.protocol import Policy
+from jaxplan.precision import in_float64
 from jaxplan.prediction.candidates import Candidates, candidates_from
 from jaxplan.records import replace
 from jaxplan.search.lattice import Lattices, Paths, SearchConfig, build_lattices

@@ -11,9 +11,9 @@ from jaxtyping import Float, Int, UInt32
 
 from jaxplan.arrival import ArrivalConfig
 from jaxplan.errors import InputError
-from jaxplan.minsnap.batch import SplineBatch
+from jaxplan.knots import KnotConfig
+from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.records import record
-from jaxplan.search.knots import KnotConfig
 from jaxplan.selection import CheckConfig, Margins
 from jaxplan.selection import select as select_best
 from jaxplan.spline import FlatState, PiecewisePolynomial

@@ -14,11 +14,11 @@ from jaxtyping import Array, Float, Int, UInt32
 
 from jaxplan.arrival import Arrival, match_arrival
 from jaxplan.feasibility.classifier import Classifier
-from jaxplan.minsnap.batch import SplineBatch, fit
+from jaxplan.knots import MAX_WAYPOINTS, select_routes
+from jaxplan.minsnap.spline_batch import SplineBatch, fit
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.policy.protocol import Policy
 from jaxplan.prediction.candidates import Candidates, reject_early
-from jaxplan.search.knots import MAX_WAYPOINTS, select_routes
 from jaxplan.selection import Margins, check_clearance, check_flight
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason, bit

@@ -9,9 +9,9 @@ from concurrent.futures import ThreadPoolExecutor
 import jax
 import numpy as np
 
-from jaxplan.numerics import in_float64
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.planner.stations import LENGTHS, Routes, Stations, cut
+from jaxplan.precision import in_float64
 from jaxplan.spline import FlatState
 from jaxplan.world.obstacles import World
 

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplan.errors import InputError
-from jaxplan.numerics import in_float64
+from jaxplan.precision import in_float64
 from jaxplan.prediction.candidates import Candidates, candidates_from
 from jaxplan.prediction.kinematic import constant_acceleration, constant_velocity
 from jaxplan.prediction.mixture import ConditionalMixture, Prediction, choose, condition, log_density, scales

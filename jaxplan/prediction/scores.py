@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxplan.numerics import in_float64
+from jaxplan.precision import in_float64
 from jaxplan.prediction.mixture import Prediction, choose, log_density, scales
 from jaxplan.prediction.observations import Observations
 

@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxplan.errors import InputError
-from jaxplan.minsnap.batched import minimum_snap_batch
-from jaxplan.numerics import in_float64
+from jaxplan.minsnap.many import minimum_snap_batch
+from jaxplan.precision import in_float64
 from jaxplan.world.clearance import clearance, wall_clearance
 from jaxplan.world.obstacles import World
 

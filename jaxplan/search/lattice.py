@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from jaxplan.errors import InputError
 from jaxplan.records import record, static
-from jaxplan.search.graph import Frame, Graph, make_frame, permitted_moves
+from jaxplan.search.kernels.graph import Frame, Graph, make_frame, permitted_moves
 from jaxplan.world.obstacles import World
 from jaxplan.world.occupancy import (
     PADDING,

@@ -6,7 +6,7 @@
    not reach are searched on the next coarser lattices: a path around more cells than the budget is long, so a coarse
    one is as good, and the coarsest lattices cover any room.
 3. Only then finer lattices are tried, for passages that are closed on the coarser ones, with a larger budget.
-4. Every path is pulled taut (``jaxplan.search.shorten``).
+4. Every path is pulled taut (``jaxplan.search.kernels.taut``).
 """
 
 from collections.abc import Iterator
@@ -14,12 +14,12 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from jaxplan.numerics import in_float64
-from jaxplan.search import astar
-from jaxplan.search.graph import NO_ENTRY
+from jaxplan.precision import in_float64
+from jaxplan.search.kernels import astar
+from jaxplan.search.kernels.graph import NO_ENTRY
+from jaxplan.search.kernels.taut import write_straight, write_taut
 from jaxplan.search.lattice import Lattices, Paths, choose_level, grid_frame, level_graph
 from jaxplan.search.request import Request, finish, mark_finer, open_request
-from jaxplan.search.shorten import write_straight, write_taut
 from jaxplan.world.obstacles import World
 from jaxplan.world.occupancy import exact_clearance
 

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Int
 from scipy import ndimage
 
-from jaxplan.numerics import in_float64
-from jaxplan.search.graph import permitted_moves
+from jaxplan.precision import in_float64
+from jaxplan.search.kernels.graph import permitted_moves
 from jaxplan.search.lattice import Lattices, SearchLattice
 from jaxplan.world.obstacles import World
 from jaxplan.world.occupancy import Lattice, coarsen, kept_in, padded_cells

@@ -13,11 +13,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from jaxplan.errors import InputError
-from jaxplan.minsnap.batch import SplineBatch
-from jaxplan.numerics import in_float64
+from jaxplan.minsnap.spline_batch import SplineBatch
+from jaxplan.precision import in_float64
 from jaxplan.records import record
 from jaxplan.spline import PiecewisePolynomial
-from jaxplan.tracking.batch import Splines, as_sequence, duration_of_each, padded
+from jaxplan.tracking.references import Splines, as_sequence, duration_of_each, padded
 from jaxplan.tracking.result import Flaw
 from jaxplan.tracking.track import LONGEST_FLIGHT, TrackConfig, track
 from jaxplan.vehicle.limits import Feasibility, rotor_limit_margin

@@ -23,8 +23,8 @@ from jaxplan.tracking.disturbance import Disturbance, air_velocity
 from jaxplan.tracking.filters import FilterState, filter_step
 from jaxplan.tracking.model import PHYSICS_RATE, Body, Motion, step_body
 from jaxplan.tracking.sensing import Sensed
-from jaxplan.vehicle.allocation import allocation_matrix
 from jaxplan.vehicle.flatness import against_drag, differential_flatness
+from jaxplan.vehicle.mixing import allocation_matrix
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.rotations import rotation_from_quat
 from jaxplan.vehicle.vectors import length

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxplan.errors import InputError
 from jaxplan.numerics import wrap_angle
+from jaxplan.precision import float32_island
 from jaxplan.records import record, replace
 from jaxplan.spline import FlatState
 from jaxplan.tracking.disturbance import Disturbance
@@ -30,7 +31,6 @@ from jaxplan.tracking.plant import (
     sense,
     state_on_reference,
 )
-from jaxplan.tracking.precision import float32_island
 from jaxplan.tracking.se3 import se3
 from jaxplan.tracking.sensing import Controller
 from jaxplan.vehicle.params import Vehicle

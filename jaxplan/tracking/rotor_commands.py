@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxplan.vehicle.allocation import inverse_allocation_matrix
+from jaxplan.vehicle.mixing import inverse_allocation_matrix
 from jaxplan.vehicle.params import Vehicle
 
 _NEWTON_STEPS = 8

@@ -19,11 +19,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxplan.errors import InputError
+from jaxplan.precision import float32_island
 from jaxplan.spline import FlatState
-from jaxplan.tracking.batch import Splines, as_sequence, duration_of_each, padded, references_at
 from jaxplan.tracking.disturbance import SHAPES, Disturbance
 from jaxplan.tracking.plant import PlantState
-from jaxplan.tracking.precision import float32_island
+from jaxplan.tracking.references import Splines, as_sequence, duration_of_each, padded, references_at
 from jaxplan.tracking.result import TRAINING, Flaw, Thresholds, TrackingResult
 from jaxplan.tracking.rollout import CONTROL_RATE, ControllerName, FlightLog, build_plant
 from jaxplan.vehicle.params import Vehicle, load_vehicle

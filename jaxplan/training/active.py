@@ -18,8 +18,8 @@ from jaxplan.errors import FileError
 from jaxplan.feasibility.classifier import Classifier, Model
 from jaxplan.feasibility.features import motion_features
 from jaxplan.feasibility.gaussian_process import marginals
-from jaxplan.minsnap.batch import SplineBatch
-from jaxplan.numerics import in_float64
+from jaxplan.minsnap.spline_batch import SplineBatch
+from jaxplan.precision import in_float64
 from jaxplan.tracking.track import track
 from jaxplan.training.classifier import Labelled
 from jaxplan.training.dataset import build_flights

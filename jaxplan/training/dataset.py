@@ -22,8 +22,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxplan.errors import FileError, InputError
-from jaxplan.minsnap.batch import SplineBatch
-from jaxplan.numerics import in_float64
+from jaxplan.minsnap.spline_batch import SplineBatch
+from jaxplan.precision import in_float64
 from jaxplan.training.labels import (
     LabelConfig,
     Queries,

@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float, Int
 
 from jaxplan.feasibility.classifier import Classifier
 from jaxplan.feasibility.features import motion_features
-from jaxplan.numerics import in_float64
 from jaxplan.policy.protocol import Policy
+from jaxplan.precision import in_float64
 from jaxplan.tracking.track import track
 from jaxplan.training.active import judged, perturbed
 from jaxplan.training.dataset import (

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxplan.errors import FileError
-from jaxplan.search.knots import MAX_WAYPOINTS
+from jaxplan.knots import MAX_WAYPOINTS
 from jaxplan.spline import FlatState
 from jaxplan.training.dataset import is_held_out, read_config, read_shard, shard_path
 from jaxplan.training.labels import Queries

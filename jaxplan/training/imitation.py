@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxplan.arrival import sped_up
 from jaxplan.errors import InputError
-from jaxplan.minsnap.batch import fit_each
+from jaxplan.minsnap.spline_batch import fit_each
 from jaxplan.policy.network import Bottleneck, PolicyNetwork
 from jaxplan.policy.neural import allocate_times, read_sequences
 from jaxplan.spline import FlatState

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxplan.minsnap.allocation import TimeAllocationConfig, allocate
-from jaxplan.minsnap.batch import SplineBatch, fit_each
+from jaxplan.minsnap.spline_batch import SplineBatch, fit_each
+from jaxplan.minsnap.time_allocation import TimeAllocationConfig, allocate
 from jaxplan.spline import FlatState
 from jaxplan.tracking.track import track
 from jaxplan.vehicle.limits import least_rotor_margin, rotor_limit_margin

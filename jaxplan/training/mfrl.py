@@ -20,8 +20,8 @@ from jaxtyping import Float
 
 from jaxplan.errors import InputError
 from jaxplan.feasibility.classifier import Model, make_classifier, new_model
-from jaxplan.numerics import in_float64
 from jaxplan.policy.network import NetworkConfig, PolicyNetwork
+from jaxplan.precision import in_float64
 from jaxplan.training import active
 from jaxplan.training.classifier import ClassifierConfig, Labelled, calibrate, train_classifier
 from jaxplan.training.examples import Examples, as_queries, batches, lanes_of

@@ -17,11 +17,11 @@ from flax import serialization
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxplan.errors import InputError
-from jaxplan.numerics import in_float64
+from jaxplan.knots import MAX_WAYPOINTS
 from jaxplan.policy.features import SEGMENT_FEATURES, STATE_FEATURES
 from jaxplan.policy.network import NetworkConfig, PolicyNetwork
 from jaxplan.policy.neural import allocate_times, read_sequences
-from jaxplan.search.knots import MAX_WAYPOINTS
+from jaxplan.precision import in_float64
 from jaxplan.training.dataset import read_config
 from jaxplan.training.examples import Examples, batches, lanes_of, load_examples
 from jaxplan.training.imitation import ImitationConfig, imitation_loss

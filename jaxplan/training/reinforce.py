@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxplan.errors import InputError
 from jaxplan.feasibility.classifier import Classifier
-from jaxplan.minsnap.batch import SplineBatch, fit_each
+from jaxplan.minsnap.spline_batch import SplineBatch, fit_each
 from jaxplan.policy.network import NetworkConfig, PolicyNetwork
 from jaxplan.policy.neural import allocate_times, read_sequences
 from jaxplan.training.examples import Examples

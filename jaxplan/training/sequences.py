@@ -12,9 +12,9 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxplan.minsnap.batch import SplineBatch
-from jaxplan.numerics import in_float64
-from jaxplan.search.knots import MAX_WAYPOINTS, KnotConfig, select_routes
+from jaxplan.knots import MAX_WAYPOINTS, KnotConfig, select_routes
+from jaxplan.minsnap.spline_batch import SplineBatch
+from jaxplan.precision import in_float64
 from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes
 from jaxplan.spline import FlatState

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from jaxplan.numerics import safe_divide
 from jaxplan.records import record
 from jaxplan.spline import FlatState
-from jaxplan.vehicle.allocation import signed_sqrt, squared_rotor_speeds
+from jaxplan.vehicle.mixing import signed_sqrt, squared_rotor_speeds
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.rotations import quat_from_rotation
 from jaxplan.vehicle.vectors import Vector, cross, direction, dot, length

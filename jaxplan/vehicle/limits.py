@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxplan.numerics import in_float64
+from jaxplan.precision import in_float64
 from jaxplan.spline import FlatState, PiecewisePolynomial
-from jaxplan.vehicle.allocation import inverse_allocation_matrix, signed_sqrt, squared_rotor_speeds
 from jaxplan.vehicle.flatness import demand_of
+from jaxplan.vehicle.mixing import inverse_allocation_matrix, signed_sqrt, squared_rotor_speeds
 from jaxplan.vehicle.params import Vehicle
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxplan.errors import FileError
-from jaxplan.numerics import in_float64, safe_divide
+from jaxplan.numerics import safe_divide
+from jaxplan.precision import in_float64
 from jaxplan.world.obstacles import DEFAULT_KEEP_IN, Mesh, World, make_obstacles
 from jaxplan.world.voxels import sides
 

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxplan.errors import InputError
-from jaxplan.numerics import in_float64
+from jaxplan.precision import in_float64
 from jaxplan.records import record
 from jaxplan.world.clearance import clearance
 from jaxplan.world.obstacles import Obstacles, World

@@ -22,14 +22,14 @@ from experiments.closed_loop import EpisodeConfig
 from experiments.optimiser import optimiser_policy
 from experiments.table1_report import PAPER, by_cell, report
 from jaxplan.errors import ResourceError
-from jaxplan.experiment import cluster, connection
-from jaxplan.experiment.definition import Results
-from jaxplan.experiment.ledger import Ledger
-from jaxplan.experiment.registry import experiment_names, load_experiment
-from jaxplan.experiment.shards import cut
-from jaxplan.minsnap.allocation import time_allocation
-from jaxplan.numerics import in_float64
+from jaxplan.minsnap.time_allocation import time_allocation
+from jaxplan.precision import in_float64
 from jaxplan.prediction.observations import Observations
+from jaxplan.runner import cluster, connection
+from jaxplan.runner.definition import Results
+from jaxplan.runner.ledger import Ledger
+from jaxplan.runner.registry import experiment_names, load_experiment
+from jaxplan.runner.shards import cut
 from jaxplan.spline import FlatState, hover
 
 NAME = "oracles.experiment_samples"

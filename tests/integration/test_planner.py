@@ -8,19 +8,19 @@ import pytest
 
 from jaxplan.compilation import compilations
 from jaxplan.errors import InputError
+from jaxplan.knots import KnotConfig
 from jaxplan.planner import PlannerConfig, build_planner, select
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
 from jaxplan.prediction.observations import first_observation
 from jaxplan.records import replace
 from jaxplan.replanner import Replanner
-from jaxplan.search.knots import KnotConfig
 from jaxplan.spline import FlatState, hover
 from jaxplan.status import PlanStatus, Reason
 from jaxplan.vehicle.params import load_vehicle
 from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import Boxes, make_obstacles
-from jaxplan.world.scene import load_world
 
 START = np.array([-4.3, -4.3, 1.0])
 CONFIG = PlannerConfig(lanes=16, knots=KnotConfig(distance_per_knot=1.0))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxplan.viz.scale_factor import draw_scale_factor
+from experiments.figures.scale_factor import draw_scale_factor
 
 
 def test_the_picture_is_drawn_from_the_rows(tmp_path: Path) -> None:
@@ -42,7 +42,7 @@ def test_the_benchmark_runs(tmp_path: Path) -> None:
 _GROWTH = """
 import resource
 import numpy as np
-from jaxplan.minsnap.problem import minimum_snap
+from jaxplan.minsnap.single import minimum_snap
 from jaxplan.tracking.track import track
 
 def peak():

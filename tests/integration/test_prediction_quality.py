@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from benchmarks import bench_prediction
+from experiments.figures.prediction import draw_predictions
 from experiments.prediction_comparison import INTERVALS, as_markdown, panels, recorded_windows, rows_of, stored_windows
 from jaxplan import interception
 from jaxplan.config import InterceptConfig
 from jaxplan.prediction.target_model import shipped_model
-from jaxplan.viz.prediction import draw_predictions
-from jaxplan.world.scene import load_world
+from jaxplan.world.load import load_world
 
 
 def compared(column, windows, dt, model, world):

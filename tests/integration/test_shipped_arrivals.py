@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from jaxplan.arrival import ArrivalConfig, match_arrival, sped_up
+from jaxplan.knots import MAX_WAYPOINTS
 from jaxplan.policy.checkpoint import load_policy
-from jaxplan.search.knots import MAX_WAYPOINTS
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason
 

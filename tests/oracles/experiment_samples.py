@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from jaxplan.errors import InputError
-from jaxplan.experiment.definition import Experiment, Item, Report, Results, Row
+from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

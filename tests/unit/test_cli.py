@@ -22,7 +22,7 @@ from jaxplan.errors import FileError, InputError, InternalError, ResourceError, 
 from jaxplan.io.target_log import read_target_log
 from jaxplan.spline import PiecewisePolynomial
 from jaxplan.status import PlanStatus
-from jaxplan.world.scene import load_world
+from jaxplan.world.load import load_world
 
 FILES = ["config.json", "episode.png", "flown.csv", "metrics.json", "plans.npz", "target.csv"]
 

@@ -37,7 +37,7 @@ from jaxplan.feasibility.gaussian_process import (
     rbf,
     related,
 )
-from jaxplan.minsnap.batch import fit_each
+from jaxplan.minsnap.spline_batch import fit_each
 from jaxplan.spline import FlatState
 from jaxplan.training.active import latents
 from jaxplan.training.classifier import ClassifierConfig, Labelled, calibrate, train_classifier

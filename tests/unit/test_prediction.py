@@ -11,7 +11,7 @@ from jaxplan.prediction.predictors import PREDICTORS, PredictionConfig, build_pr
 from jaxplan.prediction.target_model import shipped_model
 from jaxplan.records import replace
 from jaxplan.status import Note, Reason
-from jaxplan.world.scene import load_world
+from jaxplan.world.load import load_world
 
 CONFIG = PredictionConfig(steps=6, dt=0.2, batch=500, sigma=0.05)
 

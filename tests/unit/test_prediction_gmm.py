@@ -6,7 +6,7 @@ import pytest
 from jaxplan.errors import InputError
 from jaxplan.prediction.gmm import FitConfig, fit_mixture, log_likelihood
 from jaxplan.prediction.windows import WindowConfig, chains, draw_windows, free_distance, walks
-from jaxplan.world.scene import load_world
+from jaxplan.world.load import load_world
 
 
 def three_clouds(count, seed):

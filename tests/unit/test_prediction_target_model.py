@@ -18,7 +18,7 @@ from jaxplan.prediction.target_model import (
     shipped_model,
     window_coordinates,
 )
-from jaxplan.world.scene import load_world
+from jaxplan.world.load import load_world
 
 SHIPPED = [("env1", 0.1), ("env2", 0.2), ("env3", 0.2), ("somewhere.stl", 0.1), ("somewhere.stl", 0.2)]
 

@@ -13,7 +13,7 @@ from jaxplan.errors import FileError, InputError
 from jaxplan.feasibility.classifier import make_classifier, new_model
 from jaxplan.feasibility.features import LOW_FIDELITIES, motion_features
 from jaxplan.feasibility.gaussian_process import Related, rbf
-from jaxplan.minsnap.batch import fit_each
+from jaxplan.minsnap.spline_batch import fit_each
 from jaxplan.policy.network import NetworkConfig
 from jaxplan.spline import FlatState
 from jaxplan.training.active import least_certain, perturbed

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from jaxplan.search import astar
-from jaxplan.search.graph import NO_ENTRY, NO_STEP, STEPS, Graph, make_frame, onward_steps, permitted_moves
-from jaxplan.search.workspace import workspace
+from jaxplan.search.kernels import astar
+from jaxplan.search.kernels.graph import NO_ENTRY, NO_STEP, STEPS, Graph, make_frame, onward_steps, permitted_moves
+from jaxplan.search.kernels.workspace import workspace
 from oracles.search_dijkstra import STEPS as ORACLE_STEPS
 from oracles.search_dijkstra import grid_edges, number, shortest
 from oracles.search_sight import crossed_cells

@@ -6,11 +6,11 @@ import pytest
 from jaxplan.errors import InputError
 from jaxplan.records import replace
 from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices, choose_level
-from jaxplan.search.paths import find_paths
+from jaxplan.search.multi_resolution import find_paths
 from jaxplan.status import Note, Reason
 from jaxplan.world.clearance import clearance
+from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import World, aligned_boxes, make_obstacles
-from jaxplan.world.scene import load_world
 
 LEVEL_DISTANCES = [0.0, 2.5, 5.0, 9.0]
 """m; in a room of 14.3 m diagonal these select the four lattices, finest first."""

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from jaxplan.search import astar, shorten
-from jaxplan.search.compiled import source_digest
+from jaxplan.search.kernels import astar
+from jaxplan.search.kernels.compiled import source_digest
 from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
-from jaxplan.search.paths import find_paths
+from jaxplan.search.multi_resolution import find_paths
 from jaxplan.search.routes import find_routes, warmup
 from jaxplan.status import Note, Reason
 from jaxplan.world.clearance import clearance
+from jaxplan.world.load import ENVIRONMENTS, load_world
 from jaxplan.world.obstacles import World, aligned_boxes, make_obstacles
-from jaxplan.world.scene import ENVIRONMENTS, load_world
 from oracles.search_sight import crossed_cells
 
 DISTANCES = [0.0, 2.5, 5.0, 9.0]
@@ -179,7 +179,7 @@ def test_threads_agree_with_one_thread(world: World, lattices: Lattices) -> None
 def test_nothing_compiles_after_warm_up(world: World, lattices: Lattices, compilations) -> None:  # type: ignore[no-untyped-def]
     """Padded and blocked starts and goals included, for each world in turn."""
     warmup(lattices, world)
-    entries = [astar._compiled_search(), shorten._compiled_taut()]
+    entries = [astar._compiled_search(), taut._compiled_taut()]
     signatures = [len(entry.signatures) for entry in entries]
     compilations.count = 0
     goals = np.concatenate([free_goals(lattices, 5, 0), np.random.default_rng(0).uniform(-5, 5, (395, 3))])
@@ -219,7 +219,7 @@ def test_a_million_bad_goals_are_never_reached() -> None:
 
 
 def test_the_cache_key_follows_every_source_file(tmp_path, monkeypatch) -> None:  # type: ignore[no-untyped-def]
-    from jaxplan.search import compiled
+    from jaxplan.search.kernels import compiled
 
     before = source_digest()
     for path in sorted(compiled.Path(compiled.__file__).parent.glob("*.py")):
@@ -236,12 +236,12 @@ def test_a_changed_helper_is_compiled_anew_although_its_entry_point_is_cached(tm
     import os
     import shutil
 
-    from jaxplan.search import compiled
+    from jaxplan.search.kernels import compiled
 
     package = compiled.Path(compiled.__file__).parents[1]
     shutil.copytree(package, tmp_path / "jaxplan", ignore=shutil.ignore_patterns("__pycache__"))
     code = (
-        "import numpy as np\nfrom jaxplan.search import astar, graph\n"
+        "import numpy as np\nfrom jaxplan.search.kernels import astar, graph\n"
         "room, start, goals = graph.two_free_cells(), np.full(3, 0.5), np.array([[1.5, 0.5, 0.5]])\n"
         "print(astar.search(room, start, goals, np.ones(1, bool), 9).cost[0])"
     )

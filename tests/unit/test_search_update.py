@@ -9,8 +9,8 @@ from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes, warmup
 from jaxplan.search.update import update_lattices
 from jaxplan.status import Reason
+from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import World, make_obstacles
-from jaxplan.world.scene import load_world
 from jaxplan.world.update import with_spare_boxes
 from jaxplan.world.voxels import distance_grid
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxplan.errors import InputError
-from jaxplan.minsnap.batch import fit
+from jaxplan.minsnap.spline_batch import fit
 from jaxplan.selection import CheckConfig, check, select
 from jaxplan.spline import hover
 from jaxplan.status import Reason

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxplan.minsnap.problem import minimum_snap
+from jaxplan.minsnap.single import minimum_snap
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.tracking.fidelity import build_labeller
 from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, build_plant

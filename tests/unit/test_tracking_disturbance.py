@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from jaxplan.errors import InputError
-from jaxplan.minsnap.problem import minimum_snap
+from jaxplan.minsnap.single import minimum_snap
+from jaxplan.precision import float32_island
 from jaxplan.tracking.disturbance import Disturbance, air_velocity
 from jaxplan.tracking.filters import FilterState
 from jaxplan.tracking.model import vehicle_body
 from jaxplan.tracking.plant import DT, Noise, PlantState, physics_step
-from jaxplan.tracking.precision import float32_island
 from jaxplan.tracking.track import TrackConfig, track
 from jaxplan.vehicle.params import load_vehicle
 

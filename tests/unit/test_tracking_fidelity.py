@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxplan.errors import InputError
-from jaxplan.minsnap.problem import minimum_snap
+from jaxplan.minsnap.single import minimum_snap
 from jaxplan.records import replace
 from jaxplan.spline import PiecewisePolynomial
 from jaxplan.tracking.fidelity import build_labeller

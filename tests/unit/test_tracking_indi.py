@@ -13,8 +13,8 @@ from jaxplan.tracking.filters import FilterState
 from jaxplan.tracking.indi import indi
 from jaxplan.tracking.rotor_commands import rotor_commands
 from jaxplan.tracking.sensing import Sensed
-from jaxplan.vehicle.allocation import allocation_matrix
 from jaxplan.vehicle.gains import IndiGains
+from jaxplan.vehicle.mixing import allocation_matrix
 from jaxplan.vehicle.params import Vehicle, load_vehicle
 
 pytestmark = pytest.mark.usefixtures("x64")

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxplan.precision import float32_island
 from jaxplan.tracking.lanes import joined, over_lanes, split
 from jaxplan.tracking.model import Motion, step_body, vehicle_body
-from jaxplan.tracking.precision import float32_island
 from jaxplan.vehicle.params import load_vehicle
 
 LANES = 16

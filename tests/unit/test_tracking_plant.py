@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from jaxplan.precision import float32_island
 from jaxplan.records import replace
 from jaxplan.spline import FlatState, hover
 from jaxplan.tracking.filters import FilterState
@@ -21,7 +22,6 @@ from jaxplan.tracking.plant import (
     physics_step,
     state_on_reference,
 )
-from jaxplan.tracking.precision import float32_island
 from jaxplan.vehicle.params import Vehicle, load_vehicle
 from oracles import plant_c_mujoco, plant_rigid_body
 

@@ -8,11 +8,11 @@ from hypothesis import given, strategies
 
 import jaxplan
 from jaxplan.errors import InputError
-from jaxplan.minsnap.batch import SplineBatch
-from jaxplan.minsnap.problem import minimum_snap
+from jaxplan.minsnap.single import minimum_snap
+from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.records import replace
 from jaxplan.spline import PiecewisePolynomial, hover
-from jaxplan.tracking.batch import duration_of_each, padded, references_at
+from jaxplan.tracking.references import duration_of_each, padded, references_at
 from jaxplan.tracking.result import SUCCESS, TRAINING, Flaw, Thresholds, TrackingResult
 from jaxplan.tracking.rollout import CONTROL_RATE, build_plant
 from jaxplan.tracking.track import LANES, TrackConfig, track

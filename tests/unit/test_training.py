@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from jaxplan.errors import FileError, InputError
-from jaxplan.experiment.spread import spread
-from jaxplan.numerics import in_float64
 from jaxplan.policy.network import NetworkConfig, PolicyNetwork
+from jaxplan.precision import in_float64
+from jaxplan.runner.distribute import spread
 from jaxplan.spline import FlatState
 from jaxplan.training.dataset import (
     DatasetConfig,

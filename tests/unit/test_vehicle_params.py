@@ -10,7 +10,7 @@ import pytest
 
 from jaxplan.errors import FileError, InputError
 from jaxplan.records import replace
-from jaxplan.vehicle.allocation import allocation_matrix, inverse_allocation_matrix, signed_sqrt
+from jaxplan.vehicle.mixing import allocation_matrix, inverse_allocation_matrix, signed_sqrt
 from jaxplan.vehicle.params import Vehicle, hover_speeds, list_presets, load_vehicle
 from oracles.layouts import LAYOUTS
 

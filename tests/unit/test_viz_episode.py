@@ -9,11 +9,12 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from jaxplan.minsnap.batch import SplineBatch
+from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.status import PlanStatus, Reason
 from jaxplan.viz.candidates import candidate_curves, illustrative_cycle
 from jaxplan.viz.episode import OUTCOMES, draw_episode
 from jaxplan.viz.scene import section, sharp_edges, solids
+from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import (
     Boxes,
     Capsules,
@@ -24,7 +25,6 @@ from jaxplan.world.obstacles import (
     aligned_boxes,
     make_obstacles,
 )
-from jaxplan.world.scene import load_world
 
 
 def cube_mesh() -> Mesh:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from jaxplan.records import replace
 from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.world.load import ENVIRONMENTS, environment_path, load_world
 from jaxplan.world.mesh import mesh_with_distances
 from jaxplan.world.obstacles import (
     Boxes,
@@ -22,7 +23,6 @@ from jaxplan.world.obstacles import (
     aligned_boxes,
     make_obstacles,
 )
-from jaxplan.world.scene import ENVIRONMENTS, environment_path, load_world
 from jaxplan.world.voxels import distance_grid
 from oracles import world_distance
 from tolerances import assert_close

@@ -8,10 +8,10 @@ import pytest
 from scipy import ndimage
 
 from jaxplan.io.targets import target_spline
-from jaxplan.numerics import in_float64
+from jaxplan.precision import in_float64
 from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.world.load import ENVIRONMENTS, environment_path, load_world
 from jaxplan.world.occupancy import occupancy_lattices
-from jaxplan.world.scene import ENVIRONMENTS, environment_path, load_world
 
 SIZES = {"env1": [10.0, 10.0, 2.0], "env2": [30.0, 15.0, 3.0], "env3": [30.0, 15.0, 3.0]}
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxplan.errors import FileError
-from jaxplan.world.scene import load_world
+from jaxplan.world.load import load_world
 from oracles.peak_memory import peak_memory, start_peak_memory
 
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from jaxplan.errors import FileError
-from jaxplan.numerics import in_float64
+from jaxplan.precision import in_float64
 from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes
 from jaxplan.world.clearance import clearance
-from jaxplan.world.points import load_pcd
-from jaxplan.world.scene import load_world
+from jaxplan.world.formats.points import load_pcd
+from jaxplan.world.load import load_world
 from oracles.peak_memory import peak_memory, start_peak_memory
 
 CORNERS = np.array([[x, y, z] for x in (0.0, 4.0) for y in (0.0, 3.0) for z in (0.0, 2.0)])
@@ -318,7 +318,7 @@ def test_mjcf_meshes_outside_the_folder_are_refused(tmp_path: Path, file: str) -
 
 
 def test_a_crash_of_the_compiler_is_a_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from jaxplan.world import mjcf_probe
+    from jaxplan import mjcf_probe
 
     for child, word in (
         ("import os; os.abort()", "crashes"),

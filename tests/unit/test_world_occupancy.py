@@ -6,9 +6,9 @@ from scipy import ndimage
 
 from jaxplan.errors import InputError
 from jaxplan.world.clearance import clearance
+from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import World, make_obstacles
 from jaxplan.world.occupancy import RESOLUTIONS, cell_centres, occupancy_lattices
-from jaxplan.world.scene import load_world
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.world.load import ENVIRONMENTS, load_world
 from jaxplan.world.obstacles import Cylinders, World, make_obstacles
 from jaxplan.world.polynomial import clearance_lower_bound
-from jaxplan.world.scene import ENVIRONMENTS, load_world
 from tolerances import assert_close
 
 pytestmark = pytest.mark.usefixtures("x64")

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from jaxplan.errors import FileError
-from jaxplan.world import streams
-from jaxplan.world.scene import load_world
+from jaxplan.world.formats import streams
+from jaxplan.world.load import load_world
 from oracles.peak_memory import peak_memory, start_peak_memory
 
 NOISE = np.random.default_rng(0).bytes(2**20)

@@ -1,0 +1,148 @@
+"""Minimum-snap trajectories: position of degree 9 in C4, yaw of degree 5 in C2 (paper eq. 3 and 4)."""
+
+from typing import Literal
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxplan.errors import InputError
+from jaxplan.minsnap.quadratic_program import Ends, knot_derivatives, problem, segment_coefficients
+from jaxplan.precision import in_float64
+from jaxplan.spline import PiecewisePolynomial
+
+POSITION_ORDER = 4
+YAW_ORDER = 2
+
+Terminal = Literal["rest", "free"]
+
+
+def interpolate(
+    durations: Float[Array, "m b"],
+    points: Float[Array, "m+1 d b"],
+    initial: Float[Array, "r d b"],
+    terminal: Float[Array, "r d b"] | None = None,
+    ends: Ends | None = None,
+) -> tuple[Float[Array, "m n d b"], Float[Array, "m+1 r d b"]]:
+    """The smoothest spline through ``points`` that starts with ``initial`` derivatives and ends as ``ends`` says.
+
+    The order r is that of ``initial``: 4 minimises snap, 2 acceleration. At rest at the goal when ``ends`` is
+    omitted. Durations of 0 mark padding.
+
+    Returns:
+        Ascending coefficients in normalised time (n = 2r+2), and the derivatives at every knot.
+    """
+    ends = ends or Ends(initial.shape[0])
+    posed = problem(durations, points, initial, terminal, ends)
+    knots = knot_derivatives(posed, ends)
+    return segment_coefficients(posed, points[:-1], knots), knots
+
+
+@in_float64
+def minimum_snap(
+    waypoints: Float[np.ndarray, "m+1 3"],
+    durations: Float[np.ndarray, "m"],
+    *,
+    initial: Float[np.ndarray, "r 3"] | None = None,
+    terminal: Terminal | Float[np.ndarray, "r 3"] = "rest",
+    fixed_order: Literal[3, 4] = 4,
+    yaw: Float[np.ndarray, "m+1"] | None = None,
+    initial_yaw: Float[np.ndarray, "2"] | None = None,
+) -> PiecewisePolynomial:
+    """The minimum-snap trajectory through ``waypoints`` [m] that spends ``durations`` [s] between them.
+
+    Args:
+        initial: velocity, acceleration, jerk and snap at the start; at rest when omitted.
+        terminal: "rest" (all derivatives 0 at the goal), "free" (none prescribed), or derivatives like ``initial``.
+        fixed_order: how many derivatives are prescribed at the ends. 4 fixes velocity to snap; 3 fixes velocity
+            to jerk and leaves snap free, which gives the natural optimum of degree 7. Rows beyond are ignored.
+        yaw: heading at the waypoints [rad, unwrapped]; the spline has no yaw when omitted.
+        initial_yaw: yaw rate [rad/s] and acceleration at the start; 0 when omitted. The end is at rest, or free
+            with ``terminal="free"``.
+
+    Returns:
+        A spline of NumPy float64 arrays, whatever the process's JAX flags.
+
+    Raises:
+        InputError: fewer than two waypoints, a wrong shape, a value that is not finite, a duration that is
+            not positive, or waypoints that all coincide.
+    """
+    points, times = _checked(waypoints, durations)
+    start, goal, ends = checked_ends("minimum_snap", initial, terminal, fixed_order)
+    position, _ = _interpolate(times[:, None], points[..., None], start[..., None], goal[..., None], ends)
+    heading = None
+    if yaw is not None or initial_yaw is not None:
+        headings = _array("yaw", np.zeros(len(points)) if yaw is None else yaw, (len(points),))
+        turning = _array("initial_yaw", np.zeros(2) if initial_yaw is None else initial_yaw, (2,))
+        turn = (times[:, None], headings[:, None, None], turning[:, None, None], None, yaw_ends(ends))
+        heading = np.asarray(_interpolate(*turn)[0][:, :, 0, 0])
+    return PiecewisePolynomial(durations=times, position=np.asarray(position[..., 0]), yaw=heading)
+
+
+_interpolate = jax.jit(interpolate, static_argnames="ends")
+
+
+def checked_ends(
+    name: str,
+    initial: Float[np.ndarray, "r 3"] | None,
+    terminal: Terminal | Float[np.ndarray, "r 3"],
+    fixed_order: int,
+) -> tuple[Float[np.ndarray, "4 3"], Float[np.ndarray, "4 3"], Ends]:
+    """The prescribed derivatives at the start and at the goal, and which of them count (host)."""
+    ends = ends_of(name, terminal, fixed_order)
+    start = _end_values(name, "initial", initial, fixed_order)
+    goal = _end_values(name, "terminal", None if isinstance(terminal, str) else terminal, fixed_order)
+    return start, goal, ends
+
+
+def ends_of(name: str, terminal: object, fixed_order: int) -> Ends:
+    """Which derivatives are prescribed at the ends."""
+    if fixed_order not in (3, POSITION_ORDER):
+        raise InputError(f"{name}: fixed_order is {fixed_order}, want 4 (snap prescribed at the ends) or 3 (snap free)")
+    if isinstance(terminal, str) and terminal not in ("rest", "free"):
+        raise InputError(f"{name}: terminal is {terminal!r}, want 'rest', 'free' or derivatives at the goal")
+    moves = not isinstance(terminal, str)
+    return Ends(int(fixed_order), goal_free=not moves and terminal == "free", goal_moves=moves)
+
+
+def yaw_ends(ends: Ends) -> Ends:
+    """The same for yaw, which always ends at rest or free."""
+    return Ends(YAW_ORDER, goal_free=ends.goal_free)
+
+
+def _end_values(name: str, what: str, given: np.ndarray | None, fixed_order: int) -> Float[np.ndarray, "4 3"]:
+    """Velocity to snap at one end, with the rows that are not prescribed 0."""
+    values = np.zeros((POSITION_ORDER, 3))
+    if given is None:
+        return values
+    array = np.asarray(given, dtype=np.float64)
+    if array.shape not in ((fixed_order, 3), (POSITION_ORDER, 3)):
+        raise InputError(f"{name}: {what} has shape {array.shape}, want ({fixed_order}, 3), one row per derivative")
+    if not np.isfinite(array[:fixed_order]).all():
+        raise InputError(f"{name}: {what} holds a value that is not finite")
+    values[:fixed_order] = array[:fixed_order]
+    return values
+
+
+def _checked(waypoints: np.ndarray, durations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    points = np.asarray(waypoints, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
+        raise InputError(f"minimum_snap: waypoints have shape {points.shape}, want (m+1, 3) with at least 2 rows")
+    points = _array("waypoints", points, points.shape)
+    times = _array("durations", durations, (len(points) - 1,))
+    if not (times > 0.0).all():
+        raise InputError(
+            f"minimum_snap: duration {int(np.argmin(times))} is {times.min()} s, want all of them positive"
+        )
+    if not (np.ptp(points, axis=0) > 0.0).any():
+        raise InputError("minimum_snap: all waypoints are the same point; hold the position instead of planning a path")
+    return points, times
+
+
+def _array(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    array = np.asarray(value, dtype=np.float64)
+    if array.shape != shape:
+        raise InputError(f"minimum_snap: {name} has shape {array.shape}, want {shape}")
+    if not np.isfinite(array).all():
+        raise InputError(f"minimum_snap: {name} holds a value that is not finite")
+    return array

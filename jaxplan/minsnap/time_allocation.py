@@ -1,0 +1,286 @@
+"""Time allocation: the durations between waypoints that the planning policy learns to predict (paper eq. 2, 5, 6).
+
+Three problems, all in the logarithms of the durations, for a whole batch at once:
+
+    (a) minimise  rho * T + sigma            eq. 2: T the total time, sigma the smoothness (snap, yaw acceleration)
+    (b) minimise  sigma  at a given T        eq. 5
+    (c) minimise  T  within the limits of the vehicle    eq. 6
+
+(a) and (b) minimise the logarithm of the cost by BFGS with the exact gradient, so that neither the size of the room
+nor rho changes the iterations. (c) starts from (b): ``minimum_time``.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, UInt32
+
+from jaxplan.errors import InputError
+from jaxplan.minsnap.bfgs import minimise
+from jaxplan.minsnap.minimum_time import Margin, least_margin, shortest_alternated
+from jaxplan.minsnap.quadratic_program import REST, Ends, gradient, knot_derivatives, problem
+from jaxplan.minsnap.single import YAW_ORDER
+from jaxplan.minsnap.status import SolveStatus, flag, harmless, judge, unsolved
+from jaxplan.records import record
+
+
+@dataclasses.dataclass(frozen=True)
+class TimeAllocationConfig:
+    """How hard to try."""
+
+    tolerance: float = 1e-5
+    """Relative decrease of the cost that is no longer worth an evaluation."""
+    max_evaluations: int = 60
+    """Evaluations of cost and gradient at most, for each optimisation."""
+    instants: int = 256
+    """Instants, evenly spread over the trajectory, at which the limits are tested (minimum time only)."""
+    rounds: int = 2
+    """Alternations of ratios and total time (minimum time only)."""
+    bisections: int = 12
+    """Halvings of the bracket of the total time, after a grid with steps of a factor 1.25 (minimum time only)."""
+    yaw_weight: float = 1.0
+    """mu_psi of the paper's eq. 3, with mu_r = 1 (the predecessors' choice)."""
+
+    def __post_init__(self) -> None:
+        if not self.tolerance > 0.0:
+            raise InputError(f"time_allocation: tolerance is {self.tolerance}, want a positive number")
+        for name in ("max_evaluations", "instants", "rounds", "bisections"):
+            if not getattr(self, name) >= 1:
+                raise InputError(f"time_allocation: {name} is {getattr(self, name)}, want 1 or more")
+        if not self.yaw_weight >= 0.0:
+            raise InputError(f"time_allocation: yaw_weight is {self.yaw_weight}, want 0 or more")
+
+
+@record
+class TimeAllocation:
+    """Optimised durations; the batch is the last axis."""
+
+    durations: Float[Array, "m b"]
+    """Seconds per segment; 0 on padding and where there is no solution."""
+    cost: Float[Array, "b"]
+    """The minimised quantity: rho * T + sigma, sigma, or T [s]; infinite where there is no solution."""
+    evaluations: Int[Array, "b"]
+    """Evaluations of cost and gradient that each problem took."""
+    status: UInt32[Array, "b"]
+    """``SolveStatus`` bits; 0 is a solution."""
+
+
+def time_allocation(
+    waypoints: Float[np.ndarray, "m+1 3 b"],
+    *,
+    time_weight: float | None = None,
+    total_time: float | Float[np.ndarray, "b"] | None = None,
+    margin: Margin | None = None,
+    segments: Int[np.ndarray, "b"] | None = None,
+    initial: Float[np.ndarray, "4 3 b"] | Float[np.ndarray, "4 3"] | None = None,
+    yaw: Float[np.ndarray, "m+1 b"] | None = None,
+    config: TimeAllocationConfig | None = None,
+) -> TimeAllocation:
+    """Optimal durations for b waypoint sequences at once, from ``initial`` derivatives to rest (host).
+
+    Exactly one of the three problems is chosen by its parameter. Computed in float64, whatever the process's JAX
+    flags; NumPy arrays come back. Compiled once per shape, and for (c) once per ``margin``.
+
+    Args:
+        time_weight: (a) rho [m^2/s^8] of rho * T + sigma.
+        total_time: (b) the time to distribute [s].
+        margin: (c) ``functools.partial(rotor_limit_margin, vehicle)``, or any other limit on flat states.
+        segments: how many segments of each sequence are real; all when omitted.
+        initial: velocity to snap at the start; at rest when omitted.
+        yaw: heading at the waypoints [rad, unwrapped]; ignored when omitted.
+
+    Raises:
+        InputError: none or several of the three parameters, one that is not positive, or a wrong shape.
+    """
+    chosen = [value is not None for value in (time_weight, total_time, margin)]
+    if sum(chosen) != 1:
+        raise InputError("time_allocation: give exactly one of time_weight, total_time and margin")
+    points, counts, start, headings = _checked(waypoints, segments, initial, yaw)
+    lanes = points.shape[-1]
+    number = time_weight if total_time is None else total_time
+    amount = np.broadcast_to(np.asarray(1.0 if number is None else number, dtype=np.float64), (lanes,))
+    if not (amount > 0.0).all():
+        raise InputError(f"time_allocation: the time or its weight is {amount.min()}, want it positive")
+    kind = ("weighted", "fixed", "fastest")[chosen.index(True)]
+    with jax.enable_x64(True):
+        found = _compiled(kind, margin, config or TimeAllocationConfig(), points, counts, amount, start, headings)
+        return jax.tree.map(np.asarray, found)
+
+
+def allocate(
+    kind: str,
+    margin: Margin | None,
+    config: TimeAllocationConfig,
+    waypoints: Float[Array, "m+1 3 b"],
+    counts: Int[Array, "b"],
+    amount: Float[Array, "b"],
+    initial: Float[Array, "4 3 b"],
+    yaw: Float[Array, "m+1 b"] | None,
+) -> TimeAllocation:
+    """The traced core of ``time_allocation``."""
+    real = jnp.arange(len(waypoints) - 1)[:, None] < counts
+    given = [initial] if yaw is None else [initial, yaw[:, None]]
+    status = judge(waypoints, jnp.where(real, 1.0, 0.0), *given)
+    skip = unsolved(status) | ((status & jnp.uint32(int(SolveStatus.COINCIDENT))) != 0)
+    points, marks = harmless(waypoints, jnp.where(real, 1.0, 0.0), skip)
+    real = marks > 0.0
+    start = jnp.where(skip, 0.0, initial)
+    smoothness = _smoothness(points, start, yaw, config.yaw_weight)
+    first = _first_guess(points, real)
+    if kind == "weighted":
+        found = _weighted(smoothness, first, real, amount, config)
+    else:
+        total = amount if kind == "fixed" else jnp.sum(first, axis=0)
+        found = _fixed(smoothness, first, real, total, config)
+    durations, value, decrement, evaluations = found
+    late = ~(decrement <= 10.0 * config.tolerance)
+    if kind == "fastest":
+        assert margin is not None
+        least = functools.partial(least_margin, margin, points, start, yaw, instants=config.instants)
+        reshare = functools.partial(_fixed, smoothness, real=real, config=config)
+        durations, feasible = shortest_alternated(
+            least, lambda best, total: reshare(best, total=total)[0], durations, config.rounds, config.bisections
+        )
+        value = jnp.sum(durations, axis=0)
+        status |= flag(~feasible & ~skip, SolveStatus.INFEASIBLE)
+        skip |= ~feasible
+    status |= flag(late & ~skip, SolveStatus.NOT_CONVERGED)
+    return TimeAllocation(
+        durations=jnp.where(skip, 0.0, durations),
+        cost=jnp.where(skip, jnp.inf, value),
+        evaluations=evaluations,
+        status=status,
+    )
+
+
+_compiled = jax.jit(allocate, static_argnums=(0, 1, 2))
+
+Smoothness = Callable[[Float[Array, "m b"]], tuple[Float[Array, "b"], Float[Array, "m b"]]]
+"""sigma of the best trajectory for given durations, and its gradient by them."""
+
+
+def _smoothness(
+    points: Float[Array, "m+1 3 b"],
+    initial: Float[Array, "4 3 b"],
+    yaw: Float[Array, "m+1 b"] | None,
+    yaw_weight: float,
+) -> Smoothness:
+    ends = Ends(YAW_ORDER)
+
+    def sigma(durations: Float[Array, "m b"]) -> tuple[Float[Array, "b"], Float[Array, "m b"]]:
+        posed = problem(durations, points, initial, None, REST)
+        value, partials, _ = gradient(posed, knot_derivatives(posed, REST), REST)
+        if yaw is None:
+            return value, partials.durations
+        turn = problem(durations, yaw[:, None], jnp.zeros((YAW_ORDER, 1, yaw.shape[-1]), yaw.dtype), None, ends)
+        yaw_value, yaw_partials, _ = gradient(turn, knot_derivatives(turn, ends), ends)
+        return value + yaw_weight * yaw_value, partials.durations + yaw_weight * yaw_partials.durations
+
+    return sigma
+
+
+def _first_guess(points: Float[Array, "m+1 3 b"], real: Bool[Array, "m b"]) -> Float[Array, "m b"]:
+    """Typical shares, 1 s in the mean: a power of the distance, longer where the flight starts and stops.
+
+    Power and factor are fitted to the optima of random waypoints in a room (least squares in the logarithms).
+    """
+    squares = jnp.sum(jnp.diff(points, axis=0) ** 2, axis=1)
+    count = jnp.maximum(jnp.sum(real, axis=0), 1)
+    mean = jnp.sum(jnp.where(real, squares, 0.0), axis=0) / count
+    share = (squares / jnp.where(mean > 0.0, mean, 1.0) + 0.02) ** 0.28
+    index = jnp.arange(len(real))[:, None]
+    share = jnp.where(real, jnp.where((index == 0) | (index == count - 1), 1.57, 1.0) * share, 0.0)
+    whole = jnp.sum(share, axis=0)
+    return share * (count / jnp.where(whole > 0.0, whole, 1.0))
+
+
+def _first_inverse(real: Bool[Array, "m b"]) -> Float[Array, "m m b"]:
+    """The inverse of a typical Hessian of a log cost in log durations, for each lane's number of segments.
+
+    Hessians at the optima of random waypoints are banded, and their bands hardly vary; they fall with 1 / count.
+    """
+    m = len(real)
+    table = np.zeros((m + 1, m, m))
+    for count in range(1, m + 1):
+        bands = np.full(count, 2.6), np.full(count - 1, 1.25), np.full(max(count - 2, 0), 0.42)
+        bands[0][[0, -1]] = 7.2
+        bands[1][:1] = bands[1][-1:] = 2.0
+        upper = sum(np.diag(band, k) for k, band in enumerate(bands[:count]))
+        table[count, :count, :count] = count * np.linalg.inv(upper + np.triu(upper, 1).T)
+    return jnp.moveaxis(jnp.asarray(table)[jnp.sum(real, axis=0)], 0, -1)
+
+
+def _weighted(
+    sigma: Smoothness,
+    first: Float[Array, "m b"],
+    real: Bool[Array, "m b"],
+    weight: Float[Array, "b"],
+    config: TimeAllocationConfig,
+) -> tuple[Array, Array, Array, Array]:
+    """(a): started where the total time would be optimal for a trajectory that scales (at rest, sigma ~ T^-7)."""
+    total = jnp.sum(first, axis=0)
+    factor = (7.0 * sigma(first)[0] / (weight * jnp.where(total > 0.0, total, 1.0))) ** 0.125
+
+    def objective(logs: Float[Array, "m b"]) -> tuple[Float[Array, "b"], Float[Array, "m b"]]:
+        durations = jnp.where(real, jnp.exp(logs), 0.0)
+        value, slope = sigma(durations)
+        cost = value + weight * jnp.sum(durations, axis=0)
+        safe = jnp.where(cost > 0.0, cost, 1.0)
+        return jnp.log(safe), durations * (slope + weight) / safe
+
+    found = minimise(
+        objective, _log(first * factor, real), _first_inverse(real), config.tolerance, config.max_evaluations
+    )
+    return jnp.where(real, jnp.exp(found.x), 0.0), jnp.exp(found.value), found.decrement, found.evaluations
+
+
+def _fixed(
+    sigma: Smoothness,
+    first: Float[Array, "m b"],
+    real: Bool[Array, "m b"],
+    total: Float[Array, "b"],
+    config: TimeAllocationConfig,
+) -> tuple[Array, Array, Array, Array]:
+    """(b): the unknowns are the logarithms of the shares of the total time, up to a common factor."""
+
+    def shared(logs: Float[Array, "m b"]) -> Float[Array, "m b"]:
+        sizes = jnp.where(real, jnp.exp(logs), 0.0)
+        whole = jnp.sum(sizes, axis=0)
+        return sizes * (total / jnp.where(whole > 0.0, whole, 1.0))
+
+    def objective(logs: Float[Array, "m b"]) -> tuple[Float[Array, "b"], Float[Array, "m b"]]:
+        durations = shared(logs)
+        value, slope = sigma(durations)
+        safe = jnp.where(value > 0.0, value, 1.0)
+        pull = durations * slope
+        return jnp.log(safe), (pull - durations / total * jnp.sum(pull, axis=0)) / safe
+
+    found = minimise(objective, _log(first, real), _first_inverse(real), config.tolerance, config.max_evaluations)
+    return shared(found.x), jnp.exp(found.value), found.decrement, found.evaluations
+
+
+def _log(durations: Float[Array, "m b"], real: Bool[Array, "m b"]) -> Float[Array, "m b"]:
+    return jnp.where(real, jnp.log(jnp.where(real & (durations > 0.0), durations, 1.0)), 0.0)
+
+
+def _checked(waypoints: Any, segments: Any, initial: Any, yaw: Any) -> tuple[Any, Any, Any, Any]:
+    points = np.asarray(waypoints, dtype=np.float64)
+    if points.ndim != 3 or points.shape[1] != 3 or len(points) < 2:
+        raise InputError(f"time_allocation: waypoints have shape {points.shape}, want (m+1, 3, b) with the batch last")
+    m, lanes = len(points) - 1, points.shape[-1]
+    counts = np.full(lanes, m) if segments is None else np.asarray(segments)
+    if counts.shape != (lanes,) or not ((counts >= 1) & (counts <= m)).all():
+        raise InputError(f"time_allocation: segments must be {lanes} numbers from 1 to {m}")
+    start = np.zeros((4, 3, 1)) if initial is None else np.asarray(initial, dtype=np.float64)
+    start = start[..., None] if start.ndim == 2 else start
+    if start.shape not in ((4, 3, 1), (4, 3, lanes)):
+        raise InputError(f"time_allocation: initial has shape {start.shape}, want (4, 3) or {(4, 3, lanes)}")
+    headings = None if yaw is None else np.asarray(yaw, dtype=np.float64)
+    if headings is not None and headings.shape != (m + 1, lanes):
+        raise InputError(f"time_allocation: yaw has shape {headings.shape}, want {(m + 1, lanes)}")
+    return points, counts.astype(np.int64), np.broadcast_to(start, (4, 3, lanes)), headings

@@ -1,0 +1,167 @@
+"""Pull lattice paths taut: drop every point that its neighbours can see past (host, compiled).
+
+A lattice path is a staircase, and on coarse lattices it dips to cell centres far from the straight line. Waypoints
+taken from it make a trajectory turn where nothing is in the way. Here a point is kept only where the straight line from
+the last kept point would cross an occupied cell of the *finest* lattice. The result is never longer than the path.
+"""
+
+import functools
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxplan.search.kernels.cells import at, centre_of, distance, indices
+from jaxplan.search.kernels.compiled import entry_point, inner, source_digest
+from jaxplan.search.kernels.graph import IF_SEEN, NO_ENTRY, Frame, Graph
+from jaxplan.search.kernels.line_of_sight import sees
+from jaxplan.search.kernels.paths import Found
+from jaxplan.search.lattice import Lattices, Paths, grid_frame
+
+
+def shorten(paths: Paths, lattices: Lattices) -> Paths:
+    """The same paths with as few corners as sight allows; ends stay exact, ``length`` is that of the lattice path."""
+    grid = lattices.levels[0].grid
+    points, count = paths.points.copy(), paths.count.copy()
+    _compiled_shorten()(points, count, grid.occupied, tuple(grid_frame(grid)))
+    return Paths(
+        points=points,
+        count=count,
+        reasons=paths.reasons,
+        notes=paths.notes,
+        resolution=paths.resolution,
+        length=paths.length,
+        expanded=paths.expanded,
+    )
+
+
+def write_straight(
+    occupied: Bool[np.ndarray, "fx fy fz"],
+    frame: Frame,
+    head: Float[np.ndarray, "h 3"],
+    goals: Float[np.ndarray, "k 3"],
+    wanted: Bool[np.ndarray, "k"],
+    points: Float[np.ndarray, "k capacity 3"],
+    count: Int[np.ndarray, "k"],
+    length: Float[np.ndarray, "k"],
+) -> None:
+    """Write ``head`` and goal as the path of every wanted goal that the end of ``head`` sees, with its length [m]."""
+    entries = np.where(wanted, IF_SEEN, NO_ENTRY)
+    no_cells = np.empty(0, np.int32), np.zeros(len(goals) + 1, np.int64)
+    path = np.empty((len(head) + 1, 3))
+    _compiled_taut()(tuple(frame), tuple(frame), *no_cells, entries, occupied, head, path, goals, points, count, length)
+
+
+def write_taut(
+    graph: Graph,
+    found: Found,
+    occupied: Bool[np.ndarray, "fx fy fz"],
+    head: Float[np.ndarray, "h 3"],
+    goals: Float[np.ndarray, "k 3"],
+    points: Float[np.ndarray, "k capacity 3"],
+    count: Int[np.ndarray, "k"],
+    length: Float[np.ndarray, "k"],
+) -> None:
+    """Write the path of every reached goal, pulled taut, into its row of ``points``, and its ``length`` [m].
+
+    ``count`` becomes the number of points of the whole path; where that exceeds the capacity the row is its prefix.
+    """
+    frames = tuple(graph.frame), tuple(graph.fine_frame)
+    path = np.empty((len(head) + int(np.diff(found.first).max(initial=0)) + 1, 3))
+    parts = found.cells, found.first, found.entry
+    _compiled_taut()(*frames, *parts, occupied, head, path, goals, points, count, length)
+
+
+@functools.cache
+def _compiled_shorten() -> Callable[..., None]:
+    version = source_digest()
+
+    @entry_point
+    def entry(points, count, occupied, frame):  # type: ignore[no-untyped-def]
+        _ = version
+        frame = Frame(*frame)
+        for k in range(points.shape[0]):
+            if count[k] > 1:
+                kept = _pull_taut(points[k], count[k], occupied, frame)
+                for i in range(kept, points.shape[1]):
+                    _copy(points[k], i, points[k], kept - 1)
+                count[k] = kept
+
+    return entry  # type: ignore[no-any-return]
+
+
+@functools.cache
+def _compiled_taut() -> Callable[..., None]:
+    version = source_digest()
+
+    @entry_point
+    def entry(frame, fine, cells, first, entries, occupied, head, path, goals, points, count, length):  # type: ignore[no-untyped-def]
+        _ = version
+        frame, fine = Frame(*frame), Frame(*fine)
+        end = len(head) - 1
+        for k in range(len(goals)):
+            if entries[k] == NO_ENTRY or (
+                entries[k] == IF_SEEN and not sees(occupied, fine, at(head, end), at(goals, k))
+            ):
+                continue
+            last = _unroll(frame, cells, first[k], first[k + 1], head, path)
+            _copy(path, last, goals, k)
+            kept = _pull_taut(path, last + 1, occupied, fine)
+            length[k] = 0.0
+            for i in range(kept - 1):
+                length[k] += distance(at(path, i), at(path, i + 1))
+            for i in range(points.shape[1]):
+                _copy(points[k], i, path, i if i < kept else kept - 1)
+            count[k] = kept
+
+    return entry  # type: ignore[no-any-return]
+
+
+@inner
+def _copy(to, i, source, j):  # type: ignore[no-untyped-def]
+    """Copy one point; numba takes seconds to compile the assignment of a slice."""
+    to[i, 0], to[i, 1], to[i, 2] = source[j, 0], source[j, 1], source[j, 2]
+
+
+@inner
+def _unroll(frame, cells, begin, end, head, path):  # type: ignore[no-untyped-def]
+    """Write the head and the centres of the cells from ``begin`` to ``end``; returns their number."""
+    for i in range(len(head)):
+        _copy(path, i, head, i)
+    for i in range(end - begin):
+        x, y, z = centre_of(frame, *indices(frame, cells[begin + i]))
+        row = len(head) + i
+        path[row, 0], path[row, 1], path[row, 2] = x, y, z
+    return len(head) + end - begin
+
+
+@inner
+def _pull_taut(path, count, occupied, frame):  # type: ignore[no-untyped-def]
+    """Rewrite the first ``count`` points of one path in place; returns how many are left."""
+    last = count - 1
+    kept, here = count - last, last - last  # 1 and 0: numba compiles calls with constants a second time
+    while here < last:
+        here = _farthest_seen(path, here, last, occupied, frame)
+        _copy(path, kept, path, here)
+        kept += 1
+    return kept
+
+
+@inner
+def _farthest_seen(path, here, last, occupied, frame):  # type: ignore[no-untyped-def]
+    """Index of a late point in sight of point ``here``, at least the next one: doubling steps, then bisection."""
+    seen, step = here + 1, 2
+    hidden = last + 1
+    while seen < last:
+        trial = here + step if here + step < last else last
+        if not sees(occupied, frame, at(path, here), at(path, trial)):
+            hidden = trial
+            break
+        seen, step = trial, 2 * step
+    while hidden - seen > 1 and seen < last:
+        middle = (seen + hidden) // 2
+        if sees(occupied, frame, at(path, here), at(path, middle)):
+            seen = middle
+        else:
+            hidden = middle
+    return seen

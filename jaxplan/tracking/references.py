@@ -1,0 +1,104 @@
+"""Many splines as arrays of fixed shape, and their references at the controller's instants.
+
+Flights differ in length and in segments; programs do not. Segments are padded to one of a few counts, and references
+are sampled block by block in float64, so that a long flight costs no more precision or memory than a short one.
+"""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxplan.errors import InputError
+from jaxplan.minsnap.spline_batch import SplineBatch
+from jaxplan.precision import in_float64
+from jaxplan.records import replace
+from jaxplan.spline import FlatState, PiecewisePolynomial
+
+Splines = PiecewisePolynomial | Sequence[PiecewisePolynomial] | SplineBatch
+"""One trajectory, a list of them, or the batch that the planner makes."""
+
+_LEAST_SEGMENTS = 4
+"""Smallest padded number of segments; larger ones are this times a power of 4 (arbitrary)."""
+
+
+def as_sequence(splines: Splines) -> Sequence[PiecewisePolynomial] | SplineBatch:
+    """A list or a batch, neither empty; ``InputError`` for anything else. Splines without yaw keep the heading 0."""
+    found = [splines] if isinstance(splines, PiecewisePolynomial) else splines
+    if isinstance(found, SplineBatch):
+        return found
+    if not isinstance(found, Sequence) or not found or not all(isinstance(s, PiecewisePolynomial) for s in found):
+        raise InputError(
+            f"splines: have {type(splines).__name__}, want a PiecewisePolynomial, a list of at least one of them, or "
+            "the splines of Plans"
+        )
+    return [_with_yaw(spline) for spline in found]
+
+
+def _with_yaw(spline: PiecewisePolynomial) -> PiecewisePolynomial:
+    if spline.yaw is not None:
+        return spline
+    return replace(spline, yaw=np.zeros((len(spline.durations), 6)))
+
+
+def duration_of_each(splines: Sequence[PiecewisePolynomial] | SplineBatch) -> Float[np.ndarray, "k"]:
+    """Seconds; NaN where a duration or a coefficient is not finite or a duration is negative."""
+    if isinstance(splines, SplineBatch):
+        durations = np.asarray(splines.durations, dtype=np.float64)
+        good = np.all(durations >= 0.0, axis=0) & np.all(np.isfinite(splines.position), axis=(0, 1, 2))
+        good &= np.all(np.isfinite(splines.yaw), axis=(0, 1, 2))
+        return np.where(good, durations.sum(axis=0), np.nan)
+    values = np.full(len(splines), np.nan)
+    for index, spline in enumerate(splines):
+        durations = np.asarray(spline.durations, dtype=np.float64)
+        finite = np.all(np.isfinite(spline.position)) and np.all(np.isfinite(np.asarray(spline.yaw)))
+        if finite and np.all(durations >= 0.0):
+            values[index] = durations.sum()
+    return values
+
+
+def padded(splines: Sequence[PiecewisePolynomial] | SplineBatch, chosen: Int[np.ndarray, "b"]) -> PiecewisePolynomial:
+    """The ``chosen`` flights with a leading batch axis, padded to a common number of segments, in NumPy float64."""
+    if isinstance(splines, SplineBatch):
+        last_first = [np.moveaxis(np.asarray(leaf)[..., chosen], -1, 0) for leaf in jax.tree.leaves(splines)]
+        durations, position, yaw = (np.asarray(leaf, dtype=np.float64) for leaf in last_first)
+        lanes = [(durations, position, yaw[..., 0])]
+    else:
+        lanes = [jax.tree.map(lambda leaf: np.asarray(leaf)[None], _leaves(splines[index])) for index in chosen]
+    segments = _bucket(max(lane[0].shape[1] for lane in lanes))
+    widths = [max(lane[i].shape[2] for lane in lanes) for i in (1, 2)]
+    shapes = [(segments,), (segments, widths[0], 3), (segments, widths[1])]
+    grown = [[_grow(leaf, shape) for leaf, shape in zip(lane, shapes, strict=True)] for lane in lanes]
+    durations, position, yaw = (np.concatenate(parts) for parts in zip(*grown, strict=True))
+    return PiecewisePolynomial(durations=durations, position=position, yaw=yaw)
+
+
+@in_float64
+def references_at(splines: PiecewisePolynomial, times: Float[np.ndarray, "n"]) -> FlatState:
+    """The references of every flight of a ``padded`` batch at ``times`` [s], (n, ..., b), rounded to float32."""
+    return _sample(splines, times)
+
+
+@jax.jit
+def _sample(splines: PiecewisePolynomial, times: Float[np.ndarray, "n"]) -> FlatState:
+    states = jax.vmap(lambda spline: spline.state(times), out_axes=-1)(splines)
+    return jax.tree.map(lambda leaf: leaf.astype(jnp.float32), states)
+
+
+def _leaves(spline: PiecewisePolynomial) -> tuple[np.ndarray, ...]:
+    return tuple(np.asarray(leaf, dtype=np.float64) for leaf in (spline.durations, spline.position, spline.yaw))
+
+
+def _bucket(segments: int) -> int:
+    size = _LEAST_SEGMENTS
+    while size < segments:
+        size *= 4
+    return size
+
+
+def _grow(array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Zeros behind ``array`` along every axis but the first."""
+    extra = [(0, want - have) for want, have in zip(shape, array.shape[1:], strict=True)]
+    return np.pad(array, [(0, 0), *extra])
