@@ -1,5 +1,12 @@
-"""Fixtures shared by all tests. Nothing here changes JAX's global settings: the library must work without."""
+"""Fixtures shared by all tests, and two settings of the whole run.
 
+Annotations of ``jaxplan`` are checked at run time, by jaxtyping's import hook with beartype, on the modules that
+JAXPLAN_TYPECHECK names (comma-separated; empty: none). With JAXPLAN_STRICT=1 JAX refuses to broadcast ranks and to mix
+dtypes, which the library's own code does not need. The library must work without any of this:
+``tests/integration/test_docs.py`` runs it in processes of its own.
+"""
+
+import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -7,6 +14,14 @@ from pathlib import Path
 import jax
 import pytest
 from hypothesis import HealthCheck, settings
+from jaxtyping import install_import_hook
+
+CHECKED = os.environ.get("JAXPLAN_TYPECHECK", "")
+if CHECKED:
+    install_import_hook(CHECKED.split(","), "beartype.beartype")
+if os.environ.get("JAXPLAN_STRICT", "0") == "1":
+    jax.config.update("jax_numpy_rank_promotion", "raise")
+    jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 

@@ -16,7 +16,7 @@ PACKAGE = ROOT / "jaxplan"
 
 LAYERS = [
     {"records", "status", "errors", "numerics", "precision", "batching", "compilation"}
-    | {"versions", "config", "weights", "mjcf_probe"},
+    | {"versions", "config", "weights", "mjcf_probe", "arrays", "validation"},
     {"spline"},
     {"minsnap", "vehicle", "world"},
     {"prediction", "search", "knots", "policy", "arrival", "selection", "tracking", "feasibility"},
@@ -32,6 +32,7 @@ SIBLINGS = {
     ("versions", "errors"),
     ("weights", "errors"),
     ("mjcf_probe", "errors"),
+    ("validation", "errors"),
     ("interception", "io"),
     ("interception", "replanner"),
     ("metrics", "interception"),

@@ -1,0 +1,15 @@
+"""Array types for annotations: on the device, on the host, or on either.
+
+``jaxtyping.Array`` is an array of JAX, ``numpy.ndarray`` one of the host. Records that travel between both hold
+``AnyArray``, as do functions of plain arithmetic that serve both. The shapes and dtypes that annotations state are
+checked in every test run, by jaxtyping's import hook (``tests/conftest.py``).
+
+A host entry point that takes what a user has, and refuses what it cannot use in a message of its own, says
+``Annotated[ArrayLike, "n 3"]`` (``numpy.typing``) instead: the shape is for the reader, the check is the function's.
+"""
+
+import jax
+import numpy as np
+
+AnyArray = jax.Array | np.ndarray
+"""On the device or on the host."""

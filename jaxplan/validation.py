@@ -1,0 +1,32 @@
+"""The checks that configurations share: one line in ``__post_init__`` for each kind of number.
+
+Every message says whose value it is, what was found and what is wanted. NaN never passes.
+"""
+
+import math
+
+from jaxplan.errors import InputError
+
+
+def require_positive(owner: str, config: object, *names: str) -> None:
+    """Raise ``InputError`` unless the named fields are finite numbers above 0."""
+    for name in names:
+        value = getattr(config, name)
+        if not 0.0 < value < math.inf:
+            raise InputError(f"{owner}: {name} is {value}, want a positive number")
+
+
+def require_at_least(owner: str, config: object, least: float, *names: str) -> None:
+    """Raise ``InputError`` unless the named fields are finite numbers not below ``least``."""
+    for name in names:
+        value = getattr(config, name)
+        if not least <= value < math.inf:
+            raise InputError(f"{owner}: {name} is {value}, want {least:g} or more")
+
+
+def require_within(owner: str, config: object, low: float, high: float, *names: str) -> None:
+    """Raise ``InputError`` unless the named fields are numbers from ``low`` to ``high``, both included."""
+    for name in names:
+        value = getattr(config, name)
+        if not low <= value <= high:
+            raise InputError(f"{owner}: {name} is {value}, want {low:g} to {high:g}")
