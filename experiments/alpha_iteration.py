@@ -65,8 +65,8 @@ def safeguarded_errors(policy, queries, goals, config):
         return (abs(alpha * total / goal - 1.0))[0], found.calls[0], found.reasons[0]
 
     states = initial_states(queries)
-    lanes_first = FlatState(derivatives=np.moveaxis(states.derivatives, -1, 0), yaw=np.moveaxis(states.yaw, -1, 0))
-    arguments = lanes_first, np.moveaxis(queries.waypoints, -1, 0), queries.count, goals
+    one_by_one = FlatState(derivatives=np.moveaxis(states.derivatives, -1, 0), yaw=np.moveaxis(states.yaw, -1, 0))
+    arguments = one_by_one, np.moveaxis(queries.waypoints, -1, 0), queries.count, goals
     errors = []
     for passes in range(2, PASSES + 1):
         limited = ArrivalConfig(tolerance=config.tolerance, max_calls=passes)

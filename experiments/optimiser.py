@@ -5,7 +5,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxplan.minsnap.time_allocation import TimeAllocationConfig, allocate
 from jaxplan.policy.protocol import Policy
-from jaxplan.spline import FlatState
+from jaxplan.spline import FlatStateBatch
 
 
 def optimiser_policy(time_weight: float, config: TimeAllocationConfig | None = None) -> Policy:
@@ -19,7 +19,7 @@ def optimiser_policy(time_weight: float, config: TimeAllocationConfig | None = N
     def encode(waypoints: Float[Array, "n 3 k"], count: Int[Array, "k"]) -> tuple[Array, Array]:
         return waypoints, jnp.asarray(count)
 
-    def decode(context: tuple[Array, Array], initial: FlatState) -> Float[Array, "m k"]:
+    def decode(context: tuple[Array, Array], initial: FlatStateBatch) -> Float[Array, "m k"]:
         waypoints, count = context
         weight = jnp.full(waypoints.shape[-1], time_weight, waypoints.dtype)
         found = allocate("weighted", None, settings, waypoints, count - 1, weight, initial.derivatives[1:], None)

@@ -19,11 +19,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from jaxplan.errors import InputError
-from jaxplan.spline import FlatState
+from jaxplan.spline import FlatState, FlatStateBatch
 from jaxplan.status import Reason, bit
 
-Decode = Callable[[FlatState], Float[Array, "m k"]]
-"""Durations [s] of every candidate from its initial state, batch axis last: (5, 3, k) and (3, k)."""
+Decode = Callable[[FlatStateBatch], Float[Array, "m k"]]
+"""Durations [s] of every candidate from its initial state."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,7 +71,7 @@ class _Search(NamedTuple):
 
 
 def match_arrival(
-    decode: Decode, initial: FlatState, arrival_times: Float[Array, "k"], config: ArrivalConfig
+    decode: Decode, initial: FlatState | FlatStateBatch, arrival_times: Float[Array, "k"], config: ArrivalConfig
 ) -> Arrival:
     """Find alpha for every candidate; candidates that need alpha < 1 are done after the first call."""
     log_goal = jnp.log(arrival_times)
@@ -102,15 +102,15 @@ def match_arrival(
     return Arrival(jnp.where(met, exact, end.durations), alpha, least, reasons, end.calls)
 
 
-def sped_up(initial: FlatState, alpha: Float[Array, "k"]) -> FlatState:
-    """alpha D: the k-th derivative times alpha^k (paper eq. 8), of position and yaw; batch axis last.
+def sped_up(initial: FlatState | FlatStateBatch, alpha: Float[Array, "k"]) -> FlatStateBatch:
+    """alpha D: the k-th derivative times alpha^k (paper eq. 8), of position and yaw.
 
     Args:
-        initial: one state for all alpha, (5, 3) and (3,), or one for each, (5, 3, k) and (3, k).
+        initial: one state for all alpha, or a batch with one for each.
     """
     powers = alpha ** jnp.arange(5, dtype=alpha.dtype)[:, None]
     derivatives, yaw = initial.derivatives.reshape(5, 3, -1), initial.yaw.reshape(3, -1)
-    return FlatState(derivatives=derivatives * powers[:, None], yaw=yaw * powers[:3])
+    return FlatStateBatch(derivatives=derivatives * powers[:, None], yaw=yaw * powers[:3])
 
 
 def _active(search: _Search, config: ArrivalConfig) -> Bool[Array, "k"]:

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxplan.arrays import AnyArray
 from jaxplan.errors import InputError
 from jaxplan.records import record
 
@@ -26,33 +27,88 @@ from jaxplan.records import record
 class FlatState:
     """A differentially flat state: what a spline gives at one instant and what a plan starts from.
 
-    World frame (z up), SI units. Leading axes are batch axes.
+    World frame (z up), SI units. Leading axes are batch axes; ``FlatStateBatch`` has them last.
     """
 
-    derivatives: Float[Array, "*batch 5 3"]
+    derivatives: Float[AnyArray, "*batch 5 3"]
     """Position [m] and its first four derivatives: velocity, acceleration, jerk, snap."""
-    yaw: Float[Array, "*batch 3"]
+    yaw: Float[AnyArray, "*batch 3"]
     """Yaw [rad, unwrapped], yaw rate [rad/s] and yaw acceleration [rad/s^2]."""
 
     @property
-    def pos(self) -> Float[Array, "*batch 3"]:
+    def pos(self) -> Float[AnyArray, "*batch 3"]:
+        """Position [m]."""
         return self.derivatives[..., 0, :]
 
     @property
-    def vel(self) -> Float[Array, "*batch 3"]:
+    def vel(self) -> Float[AnyArray, "*batch 3"]:
+        """Velocity [m/s]."""
         return self.derivatives[..., 1, :]
 
     @property
-    def acc(self) -> Float[Array, "*batch 3"]:
+    def acc(self) -> Float[AnyArray, "*batch 3"]:
+        """Acceleration [m/s^2]."""
         return self.derivatives[..., 2, :]
 
     @property
-    def jerk(self) -> Float[Array, "*batch 3"]:
+    def jerk(self) -> Float[AnyArray, "*batch 3"]:
+        """Jerk [m/s^3]."""
         return self.derivatives[..., 3, :]
 
     @property
-    def snap(self) -> Float[Array, "*batch 3"]:
+    def snap(self) -> Float[AnyArray, "*batch 3"]:
+        """Snap [m/s^4]."""
         return self.derivatives[..., 4, :]
+
+
+@record
+class FlatStateBatch:
+    """Flat states whose batch axes are *last*, as ``SplineBatch`` and the kernels over many candidates have them.
+
+    World frame (z up), SI units. One state without batch axes has the same arrays as a ``FlatState``.
+    """
+
+    derivatives: Float[AnyArray, "5 3 *batch"]
+    """Position [m] and its first four derivatives: velocity, acceleration, jerk, snap."""
+    yaw: Float[AnyArray, "3 *batch"]
+    """Yaw [rad, unwrapped], yaw rate [rad/s] and yaw acceleration [rad/s^2]."""
+
+    @property
+    def pos(self) -> Float[AnyArray, "3 *batch"]:
+        """Position [m]."""
+        return self.derivatives[0]
+
+    @property
+    def vel(self) -> Float[AnyArray, "3 *batch"]:
+        """Velocity [m/s]."""
+        return self.derivatives[1]
+
+    @property
+    def acc(self) -> Float[AnyArray, "3 *batch"]:
+        """Acceleration [m/s^2]."""
+        return self.derivatives[2]
+
+    @property
+    def jerk(self) -> Float[AnyArray, "3 *batch"]:
+        """Jerk [m/s^3]."""
+        return self.derivatives[3]
+
+    @property
+    def snap(self) -> Float[AnyArray, "3 *batch"]:
+        """Snap [m/s^4]."""
+        return self.derivatives[4]
+
+    def at(self, *index: int) -> FlatState:
+        """One of the states, by its index along each batch axis."""
+        return FlatState(derivatives=self.derivatives[(..., *index)], yaw=self.yaw[(..., *index)])
+
+
+def repeated(state: FlatState, width: int) -> FlatStateBatch:
+    """One state for each of ``width`` candidates."""
+    derivatives, yaw = (
+        jnp.broadcast_to(leaf[..., None], (*leaf.shape, width)) for leaf in (state.derivatives, state.yaw)
+    )
+    return FlatStateBatch(derivatives=derivatives, yaw=yaw)
 
 
 def hover(pos: Float[np.ndarray, "3"], yaw: float = 0.0) -> FlatState:

@@ -35,8 +35,12 @@ def least_margin(
     if yaw is not None:
         heading, _ = interpolate(durations, yaw[:, None], jnp.zeros((YAW_ORDER, 1, yaw.shape[-1]), yaw.dtype))
     states = SplineBatch(durations=durations, position=position, yaw=heading).states(instants)
-    each = jax.vmap(jax.vmap(margin, in_axes=-1, out_axes=-1), in_axes=-1, out_axes=-1)
-    return jnp.min(each(states), axis=0)
+
+    def margin_of(derivatives: Float[Array, "5 3"], yaw: Float[Array, "3"]) -> Float[Array, ""]:
+        return margin(FlatState(derivatives=derivatives, yaw=yaw))
+
+    each = jax.vmap(jax.vmap(margin_of, in_axes=-1, out_axes=-1), in_axes=-1, out_axes=-1)
+    return jnp.min(each(states.derivatives, states.yaw), axis=0)
 
 
 def shortest_alternated(

@@ -11,7 +11,7 @@ from jaxplan.minsnap import hermite
 from jaxplan.minsnap.single import POSITION_ORDER, YAW_ORDER, interpolate
 from jaxplan.numerics import wrap_angle
 from jaxplan.records import record
-from jaxplan.spline import FlatState, PiecewisePolynomial
+from jaxplan.spline import FlatState, FlatStateBatch, PiecewisePolynomial, repeated
 
 SLOWEST_HEADING = 0.2
 """Horizontal speed [m/s] below which a velocity has no heading to follow (arbitrary)."""
@@ -35,10 +35,10 @@ class SplineBatch:
             yaw=np.asarray(self.yaw)[real][:, :, 0, index],
         )
 
-    def states(self, count: int) -> FlatState:
-        """Flat states at instants evenly spread over each spline's own duration, ends included.
+    def states(self, count: int) -> FlatStateBatch:
+        """Flat states at ``count`` instants evenly spaced over each spline's own duration, ends included.
 
-        Shapes (5, 3, count, k) and (3, count, k).
+        Batch axes (count, k): shapes (5, 3, count, k) and (3, count, k).
         """
         ends = jnp.cumsum(self.durations, axis=0)
         times = jnp.linspace(0.0, 1.0, count, dtype=ends.dtype)[:, None] * jnp.sum(self.durations, axis=0)
@@ -51,7 +51,7 @@ class SplineBatch:
         position, yaw = self._coefficients(segment)
         rows = [_horner(position, s, duration, derivative) for derivative in range(5)]
         turns = [_horner(yaw, s, duration, derivative) for derivative in range(3)]
-        return FlatState(derivatives=jnp.stack(rows), yaw=jnp.stack(turns))
+        return FlatStateBatch(derivatives=jnp.stack(rows), yaw=jnp.stack(turns))
 
     def _coefficients(self, segment: Int[Array, "p k"]) -> tuple[Float[Array, "10 3 p k"], Float[Array, "6 p k"]]:
         """Those of p segments of each spline: position and yaw are gathered together, which is faster."""
@@ -91,16 +91,14 @@ def fit(
     The first waypoint is the state's own position. Yaw follows the path's heading at the waypoints, held
     where the vehicle is slow, and turns by at most ``max_yaw_rate`` [rad/s] on average over a segment.
     """
-    lanes = waypoints.shape[-1]
-    each = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[..., None], (*leaf.shape, lanes)), state)
-    return fit_each(each, waypoints, durations, max_yaw_rate)
+    return fit_each(repeated(state, waypoints.shape[-1]), waypoints, durations, max_yaw_rate)
 
 
 def fit_each(
-    states: FlatState, waypoints: Float[Array, "m+1 3 k"], durations: Float[Array, "m k"], max_yaw_rate: float
+    states: FlatStateBatch, waypoints: Float[Array, "m+1 3 k"], durations: Float[Array, "m k"], max_yaw_rate: float
 ) -> SplineBatch:
-    """``fit`` from a state of its own for every lane, (5, 3, k) and (3, k)."""
-    points = waypoints.at[0].set(states.derivatives[0])
+    """``fit`` from a state of its own for every lane."""
+    points = waypoints.at[0].set(states.pos)
     position, knots = interpolate(durations, points, states.derivatives[1:])
     headings = _headings(states.yaw[0], knots[:, 0, :2], durations, max_yaw_rate)
     yaw, _ = interpolate(durations, headings[:, None], states.yaw[1:, None])

@@ -16,7 +16,7 @@ from jaxplan.errors import FileError
 from jaxplan.policy.network import NetworkConfig
 from jaxplan.policy.neural import neural_policy
 from jaxplan.policy.protocol import Policy
-from jaxplan.spline import FlatState
+from jaxplan.spline import FlatStateBatch
 from jaxplan.weights import read_weights, resolve_weights, unflatten, write_weights
 
 KIND = "policy"
@@ -81,7 +81,7 @@ def _golden(config: NetworkConfig, parameters: Any) -> Float[np.ndarray, "m 3"]:
     for lane, last in enumerate(count - 1):
         waypoints[last:, :, lane] = waypoints[last, :, lane]
     derivatives, yaw = rng.normal(size=(5, 3, 3)) * np.array([0.0, 2.0, 5.0]), rng.normal(size=(3, 3))
-    initial = FlatState(derivatives=derivatives, yaw=yaw)
+    initial = FlatStateBatch(derivatives=derivatives, yaw=yaw)
 
     @jax.jit
     def allocate(parameters: Any) -> Float[Array, "m 3"]:

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 from jaxplan.errors import InputError
 from jaxplan.numerics import safe_norm
 from jaxplan.policy.protocol import Policy
-from jaxplan.spline import FlatState
+from jaxplan.spline import FlatStateBatch
 
 SHORTEST_SEGMENT = 1e-3
 """Length [m] that coincident waypoints count as, so that no duration is 0 (arbitrary)."""
@@ -22,7 +22,7 @@ def constant_speed_policy(speed: float = 2.5) -> Policy:
         real = jnp.arange(lengths.shape[0])[:, None] < count - 1
         return jnp.where(real, lengths / speed, 0.0)
 
-    def decode(context: Float[Array, "m k"], initial: FlatState) -> Float[Array, "m k"]:
+    def decode(context: Float[Array, "m k"], initial: FlatStateBatch) -> Float[Array, "m k"]:
         return context
 
     return Policy("no-policy", encode, decode)

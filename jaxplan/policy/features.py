@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxplan.numerics import safe_divide, safe_norm
-from jaxplan.spline import FlatState
+from jaxplan.spline import FlatStateBatch
 
 MEAN_SPEED = 4.0
 """Speed [m/s] that turns a path's length into its nominal time (the predecessors' value)."""
@@ -93,8 +93,8 @@ def segment_features(
     return jnp.where(real[:, None], jnp.stack(features, axis=1), 0.0), real
 
 
-def state_features(initial: FlatState, frame: Frame) -> Float[Array, "f k"]:
-    """What the decoder sees of the initial velocity to snap and of the yaw [SI, world]; batch axis last.
+def state_features(initial: FlatStateBatch, frame: Frame) -> Float[Array, "f k"]:
+    """What the decoder sees of the initial velocity to snap and of the yaw [SI, world].
 
     Besides the derivatives themselves, what they are along the first two steps, how far the vehicle needs to stop, and
     what thrust and turning they demand: products that a small network would have to learn.

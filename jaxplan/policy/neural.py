@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 from jaxplan.policy.features import Frame, segment_features, sequence_frame, state_features
 from jaxplan.policy.network import Bottleneck, Memory, NetworkConfig, PolicyNetwork
 from jaxplan.policy.protocol import Policy
-from jaxplan.spline import FlatState
+from jaxplan.spline import FlatStateBatch
 
 LOG_RANGE = 5.0
 """Largest logarithm of a duration in nominal units, so that no input makes a duration infinite."""
@@ -26,7 +26,7 @@ def neural_policy(name: str, config: NetworkConfig, parameters: Any) -> Policy:
         frame, memory, _ = read_sequences(network, parameters, waypoints, count)
         return memory, frame
 
-    def decode(context: tuple[Memory, Frame], initial: FlatState) -> Float[Array, "m k"]:
+    def decode(context: tuple[Memory, Frame], initial: FlatStateBatch) -> Float[Array, "m k"]:
         memory, frame = context
         precision = jnp.asarray(initial.derivatives).dtype
         return allocate_times(network, parameters, memory, frame, initial).astype(precision)
@@ -47,7 +47,7 @@ def read_sequences(
 
 
 def allocate_times(
-    network: PolicyNetwork, parameters: Any, memory: Memory, frame: Frame, initial: FlatState
+    network: PolicyNetwork, parameters: Any, memory: Memory, frame: Frame, initial: FlatStateBatch
 ) -> Float[Array, "m k"]:
     """Durations [s], 0 behind the last real segment."""
     state = state_features(jax.tree.map(lambda leaf: leaf.astype(jnp.float32), initial), frame)

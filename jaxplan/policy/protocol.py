@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from jaxtyping import Array, Float, Int
 
-from jaxplan.spline import FlatState
+from jaxplan.spline import FlatStateBatch
 
 Context = Any
 """Whatever a policy's encoder hands to its decoder: any pytree."""
@@ -20,5 +20,5 @@ class Policy(NamedTuple):
 
     name: str
     encode: Callable[[Float[Array, "n 3 k"], Int[Array, "k"]], Context]
-    decode: Callable[[Context, FlatState], Float[Array, "m k"]]
-    """The state is (5, 3, k) and (3, k); its position is that of the first waypoint."""
+    decode: Callable[[Context, FlatStateBatch], Float[Array, "m k"]]
+    """The states' positions are those of the first waypoints."""

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxplan.errors import FileError
 from jaxplan.knots import MAX_WAYPOINTS
-from jaxplan.spline import FlatState
+from jaxplan.spline import FlatStateBatch
 from jaxplan.training.dataset import is_held_out, read_config, read_shard, shard_path
 from jaxplan.training.labels import Queries
 
@@ -23,7 +23,7 @@ class Examples(NamedTuple):
 
     waypoints: Float[Array, "n 3 b"]
     count: Int[Array, "b"]
-    initial: FlatState
+    initial: FlatStateBatch
     durations: Float[Array, "m b"]
     alpha: Float[Array, "b"]
     """Factor by which the initial state is sped up for the second label."""
@@ -43,7 +43,7 @@ def load_examples(folder: Path, *, held_out: bool) -> Examples:
         slowdown = np.where(np.isfinite(shard.slowdown), shard.slowdown, 1.0)
         waypoints = shard.queries.waypoints - shard.queries.waypoints[:1]
         derivatives = np.concatenate([np.zeros_like(shard.queries.derivatives[:1]), shard.queries.derivatives])
-        state = FlatState(derivatives=derivatives, yaw=shard.queries.yaw)
+        state = FlatStateBatch(derivatives=derivatives, yaw=shard.queries.yaw)
         labels = shard.durations * slowdown, shard.alpha, shard.sped_up * slowdown
         example = Examples(waypoints, shard.queries.count, state, *labels)
         parts.append(lanes_of(example, good))

@@ -22,7 +22,7 @@ from jaxplan.errors import InputError
 from jaxplan.minsnap.spline_batch import fit_each
 from jaxplan.policy.network import Bottleneck, PolicyNetwork
 from jaxplan.policy.neural import allocate_times, read_sequences
-from jaxplan.spline import FlatState
+from jaxplan.spline import FlatStateBatch
 from jaxplan.training.examples import Examples
 from jaxplan.vehicle.limits import thrust_limit_margin
 from jaxplan.vehicle.params import Vehicle
@@ -131,7 +131,7 @@ def _mirrored(batch: Examples, key: PRNGKeyArray) -> Examples:
     """Half of the batch reflected in a vertical plane: a quadrotor flies left as it flies right."""
     side = jnp.where(jax.random.bernoulli(key, 0.5, batch.count.shape), 1.0, -1.0).astype(batch.waypoints.dtype)
     flip = jnp.stack([jnp.ones_like(side), side, jnp.ones_like(side)])
-    state = FlatState(derivatives=batch.initial.derivatives * flip, yaw=batch.initial.yaw * side)
+    state = FlatStateBatch(derivatives=batch.initial.derivatives * flip, yaw=batch.initial.yaw * side)
     return batch._replace(waypoints=batch.waypoints * flip, initial=state)
 
 

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxplan.minsnap.spline_batch import SplineBatch, fit_each
 from jaxplan.minsnap.time_allocation import TimeAllocationConfig, allocate
-from jaxplan.spline import FlatState
+from jaxplan.spline import FlatStateBatch
 from jaxplan.tracking.track import track
 from jaxplan.vehicle.limits import least_rotor_margin, rotor_limit_margin
 from jaxplan.vehicle.params import Vehicle
@@ -59,9 +59,9 @@ class Queries(NamedTuple):
     """Yaw, yaw rate and yaw acceleration at the start [rad, s]."""
 
 
-def initial_states(queries: Queries) -> FlatState:
-    """The states that the sequences begin in, batch axis last."""
-    return FlatState(derivatives=jnp.concatenate([queries.waypoints[:1], queries.derivatives]), yaw=queries.yaw)
+def initial_states(queries: Queries) -> FlatStateBatch:
+    """The states that the sequences begin in."""
+    return FlatStateBatch(derivatives=jnp.concatenate([queries.waypoints[:1], queries.derivatives]), yaw=queries.yaw)
 
 
 def sped_up(queries: Queries, alpha: Float[np.ndarray, "b"] | float) -> Queries:

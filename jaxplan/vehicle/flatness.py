@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from jaxplan.numerics import safe_divide
 from jaxplan.records import record
-from jaxplan.spline import FlatState
+from jaxplan.spline import FlatState, FlatStateBatch
 from jaxplan.vehicle.mixing import signed_sqrt, squared_rotor_speeds
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.rotations import quat_from_rotation
@@ -77,11 +77,11 @@ def differential_flatness(vehicle: Vehicle, state: FlatState) -> FlatOutputs:
     )
 
 
-def demand_of(vehicle: Vehicle, state: FlatState) -> Demand:
+def demand_of(vehicle: Vehicle, state: FlatState | FlatStateBatch) -> Demand:
     """The body's part of ``differential_flatness``; ``vehicle`` is cast already.
 
     Args:
-        state: one state, (5, 3) and (3,), or many with their axes behind, (5, 3, *b) and (3, *b).
+        state: one state, or a batch with its axes last.
     """
     _, _, acc, jerk, snap = state.derivatives
     inertia = vehicle.inertia

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxplan.precision import in_float64
-from jaxplan.spline import FlatState, PiecewisePolynomial
+from jaxplan.spline import FlatState, FlatStateBatch, PiecewisePolynomial
 from jaxplan.vehicle.flatness import demand_of
 from jaxplan.vehicle.mixing import inverse_allocation_matrix, signed_sqrt, squared_rotor_speeds
 from jaxplan.vehicle.params import Vehicle
@@ -27,11 +27,11 @@ class Feasibility(enum.IntEnum):
     """No instant of the trajectory asks more than the rotors give."""
 
 
-def rotor_limit_margin(vehicle: Vehicle, state: FlatState) -> Float[Array, "*b"]:
+def rotor_limit_margin(vehicle: Vehicle, state: FlatState | FlatStateBatch) -> Float[Array, "*b"]:
     """Distance [rad/s] of the worst rotor from its nearest limit: positive inside, -inf for a state not finite.
 
     Args:
-        state: one state, (5, 3) and (3,), or many with their axes behind, (5, 3, *b) and (3, *b).
+        state: one state, or a batch with its axes last.
     """
     vehicle, squared = _squared_speeds(vehicle, state)
     worst = _worst(map(signed_sqrt, squared), vehicle.rotor_speed_min, vehicle.rotor_speed_max)
@@ -40,7 +40,7 @@ def rotor_limit_margin(vehicle: Vehicle, state: FlatState) -> Float[Array, "*b"]
     return jnp.where(finite, worst, -jnp.inf)
 
 
-def thrust_limit_margin(vehicle: Vehicle, state: FlatState) -> Float[Array, "*b"]:
+def thrust_limit_margin(vehicle: Vehicle, state: FlatState | FlatStateBatch) -> Float[Array, "*b"]:
     """Distance of the worst rotor's thrust from its nearest limit, as a share of the range between its limits.
 
     Of the same sign as ``rotor_limit_margin``, for states as there, and smooth where a rotor stands still; NaN for a
@@ -51,8 +51,8 @@ def thrust_limit_margin(vehicle: Vehicle, state: FlatState) -> Float[Array, "*b"
     return _worst(squared, least, most) / (most - least)
 
 
-def least_rotor_margin(vehicle: Vehicle, states: FlatState) -> Float[Array, "k"]:
-    """The least ``rotor_limit_margin`` [rad/s] of k flights over their s sampled states, (5, 3, s, k) and (3, s, k)."""
+def least_rotor_margin(vehicle: Vehicle, states: FlatStateBatch) -> Float[Array, "k"]:
+    """The least ``rotor_limit_margin`` [rad/s] of k flights over their s sampled states; batch axes (s, k)."""
     return jnp.min(rotor_limit_margin(vehicle, states), axis=0)
 
 
@@ -121,7 +121,7 @@ def squared_speed_bounds(
     return least[..., None] * lift - spread, most[..., None] * lift + spread
 
 
-def _squared_speeds(vehicle: Vehicle, state: FlatState) -> tuple[Vehicle, list[Float[Array, "*b"]]]:
+def _squared_speeds(vehicle: Vehicle, state: FlatState | FlatStateBatch) -> tuple[Vehicle, list[Float[Array, "*b"]]]:
     """The vehicle, cast, and the squares of what its rotors turn at [(rad/s)^2], negative where one pulls down."""
     state = jax.tree.map(jnp.asarray, state)
     vehicle = vehicle.astype(state.derivatives.dtype)

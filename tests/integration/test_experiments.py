@@ -30,7 +30,7 @@ from jaxplan.runner.definition import Results
 from jaxplan.runner.ledger import Ledger
 from jaxplan.runner.registry import experiment_names, load_experiment
 from jaxplan.runner.shards import cut
-from jaxplan.spline import FlatState, hover
+from jaxplan.spline import FlatStateBatch, hover
 
 NAME = "oracles.experiment_samples"
 TESTS = Path(__file__).resolve().parent.parent
@@ -168,7 +168,7 @@ def test_the_optimiser_as_a_policy_is_the_optimiser() -> None:
     waypoints = np.cumsum(rng.uniform(-2.0, 2.0, (5, 3, 3)), axis=0)
     derivatives = np.concatenate([waypoints[:1], rng.normal(size=(4, 3, 3))])
     policy = optimiser_policy(100.0)
-    state = FlatState(derivatives=derivatives, yaw=np.zeros((3, 3)))
+    state = FlatStateBatch(derivatives=derivatives, yaw=np.zeros((3, 3)))
     allot = jax.jit(lambda points: policy.decode(policy.encode(points, np.full(3, 5)), state))
     durations = np.asarray(allot(waypoints))
     known = time_allocation(waypoints, time_weight=100.0, initial=derivatives[1:]).durations

@@ -38,7 +38,7 @@ from jaxplan.feasibility.gaussian_process import (
     related,
 )
 from jaxplan.minsnap.spline_batch import fit_each
-from jaxplan.spline import FlatState
+from jaxplan.spline import FlatStateBatch
 from jaxplan.training.active import latents
 from jaxplan.training.classifier import ClassifierConfig, Labelled, calibrate, train_classifier
 from jaxplan.training.scores import area_under_curve, binary_scores
@@ -146,7 +146,7 @@ def random_flights(seed=0, lanes=6):
 
 
 def flights_of(points, derivatives, yaw, durations):
-    state = FlatState(derivatives=jnp.asarray(derivatives), yaw=jnp.asarray(yaw))
+    state = FlatStateBatch(derivatives=jnp.asarray(derivatives), yaw=jnp.asarray(yaw))
     return fit_each(state, jnp.asarray(points), jnp.asarray(durations), 1.5)
 
 
@@ -266,7 +266,7 @@ def test_gradients_reach_the_durations():
     classifier = make_classifier(random_model())
 
     def total(durations):
-        state = FlatState(derivatives=jnp.asarray(derivatives), yaw=jnp.asarray(yaw))
+        state = FlatStateBatch(derivatives=jnp.asarray(derivatives), yaw=jnp.asarray(yaw))
         flights = fit_each(state, jnp.asarray(points), durations, 1.5)
         return jnp.sum(classifier.predict(flights, load_vehicle()).probability)
 

@@ -17,7 +17,7 @@ from jaxplan.policy.checkpoint import load_policy, policy_card, save_policy
 from jaxplan.policy.features import SEGMENT_FEATURES, STATE_FEATURES, segment_features, sequence_frame, state_features
 from jaxplan.policy.network import NetworkConfig, PolicyNetwork
 from jaxplan.policy.neural import neural_policy
-from jaxplan.spline import FlatState
+from jaxplan.spline import FlatStateBatch
 from jaxplan.weights import signed
 
 CONFIG = NetworkConfig(hidden=16, attention=8, latent=4)
@@ -43,7 +43,7 @@ def sequences(counts, seed=0, scale=2.0):
     for lane, count in enumerate(counts):
         points[count:, :, lane] = points[count - 1, :, lane]
     derivatives = rng.normal(size=(5, 3, len(counts))) * np.array([0.0, 3.0, 5.0, 10.0, 40.0])[:, None, None]
-    return points, counts, FlatState(derivatives=derivatives, yaw=rng.normal(size=(3, len(counts))))
+    return points, counts, FlatStateBatch(derivatives=derivatives, yaw=rng.normal(size=(3, len(counts))))
 
 
 @functools.lru_cache
@@ -81,7 +81,7 @@ def test_the_room_and_the_heading_do_not_matter(policy):
     rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]])
     moved = np.einsum("ij,njk->nik", rotation, points) + np.array([30.0, -12.0, 1.0])[:, None]
     yaw = initial.yaw + np.array([[turn], [0.0], [0.0]])
-    turned = FlatState(derivatives=np.einsum("ij,njk->nik", rotation, initial.derivatives), yaw=yaw)
+    turned = FlatStateBatch(derivatives=np.einsum("ij,njk->nik", rotation, initial.derivatives), yaw=yaw)
     np.testing.assert_allclose(
         durations(policy, moved, counts, turned), durations(policy, points, counts, initial), rtol=2e-4
     )
@@ -96,7 +96,7 @@ def test_every_derivative_is_seen_over_its_whole_range(policy):
         for size in (1.0, 10.0, 100.0):
             scales = np.ones((2, 5, 1, 1))
             scales[:, order, 0, 0] = size, 2.0 * size
-            one, two = (FlatState(derivatives=derivatives * scale, yaw=initial.yaw) for scale in scales)
+            one, two = (FlatStateBatch(derivatives=derivatives * scale, yaw=initial.yaw) for scale in scales)
             slow, fast = durations(policy, points, counts, one)[:5], durations(policy, points, counts, two)[:5]
             assert np.abs(slow / fast - 1.0).max() > 1e-4
 
@@ -184,7 +184,7 @@ def test_the_shipped_policy_says_how_it_was_made_and_gives_sensible_times():
     points = np.zeros((14, 3, 20))
     points[1:, 0] = lengths
     derivatives, yaw = np.zeros((5, 3, 20)), np.zeros((3, 20))
-    state = FlatState(derivatives=derivatives, yaw=yaw)
+    state = FlatStateBatch(derivatives=derivatives, yaw=yaw)
     total = durations(load_policy("pretrained"), points, np.full(20, 2), state).sum(axis=0)
     assert (np.diff(total) > 0.0).all()
     speed = lengths / total
@@ -198,6 +198,6 @@ def test_the_shipped_policy_takes_longer_from_a_faster_start_that_must_be_stoppe
     points[1:, 0] = 3.0
     derivatives = np.zeros((5, 3, 6))
     derivatives[1, 0] = -np.arange(6.0)
-    state = FlatState(derivatives=derivatives, yaw=np.zeros((3, 6)))
+    state = FlatStateBatch(derivatives=derivatives, yaw=np.zeros((3, 6)))
     total = durations(load_policy("pretrained"), points, np.full(6, 2), state).sum(axis=0)
     assert (np.diff(total) > 0.0).all()

@@ -15,7 +15,7 @@ from jaxplan.feasibility.features import LOW_FIDELITIES, motion_features
 from jaxplan.feasibility.gaussian_process import Related, rbf
 from jaxplan.minsnap.spline_batch import fit_each
 from jaxplan.policy.network import NetworkConfig
-from jaxplan.spline import FlatState
+from jaxplan.spline import FlatStateBatch
 from jaxplan.training.active import least_certain, perturbed
 from jaxplan.training.classifier import ClassifierConfig
 from jaxplan.training.examples import Examples
@@ -40,7 +40,7 @@ def examples():
     real = np.arange(6)[:, None] < count - 1
     durations = np.where(real, 0.3 + np.linalg.norm(np.diff(points, axis=0), axis=1) / 3.0, 0.0)
     derivatives = np.zeros((5, 3, 64))
-    state = FlatState(derivatives=derivatives, yaw=np.zeros((3, 64)))
+    state = FlatStateBatch(derivatives=derivatives, yaw=np.zeros((3, 64)))
     return Examples(points, count, state, durations, np.ones(64), np.zeros_like(durations))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import PPoly
 
-from jaxplan.spline import PiecewisePolynomial, hover
+from jaxplan.spline import FlatState, FlatStateBatch, PiecewisePolynomial, hover, repeated
 
 
 @pytest.fixture
@@ -70,3 +70,17 @@ def test_states_hold_position_to_snap_and_yaw_to_acceleration(spline):
     np.testing.assert_array_equal(state.snap, spline.evaluate(np.array([0.3, 1.1]), 4)[:, :3])
     np.testing.assert_array_equal(state.yaw[:, 2], spline.evaluate(np.array([0.3, 1.1]), 2)[:, 3])
     np.testing.assert_array_equal(hover(np.array([1.0, 2, 3]), 0.5).pos, [1.0, 2, 3])
+
+
+def test_a_state_of_a_batch_is_the_state() -> None:
+    """Batch axes last: the properties and ``at`` index the right axes, and one state can be repeated."""
+    rng = np.random.default_rng(0)
+    one = FlatState(derivatives=rng.normal(size=(5, 3)), yaw=rng.normal(size=3))
+    batch = repeated(one, 4)
+    assert batch.derivatives.shape == (5, 3, 4)
+    for name in ("pos", "vel", "acc", "jerk", "snap"):
+        np.testing.assert_array_equal(getattr(batch, name)[:, 2], getattr(one, name).astype(batch.pos.dtype))
+    flights = FlatStateBatch(derivatives=rng.normal(size=(5, 3, 7, 5)), yaw=rng.normal(size=(3, 7, 5)))
+    assert flights.pos.shape == (3, 7, 5)
+    np.testing.assert_array_equal(flights.at(6, 4).acc, flights.derivatives[2, :, 6, 4])
+    np.testing.assert_array_equal(flights.at(6, 4).yaw, flights.yaw[:, 6, 4])
