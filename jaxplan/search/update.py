@@ -19,7 +19,7 @@ from jaxplan.world.update import Change
 
 @in_float64
 def update_lattices(lattices: Lattices, change: Change) -> Lattices:
-    """The lattices of a world after ``World.update``; ``lattices`` are those of the world before."""
+    """The lattices of a world after ``update_world``; ``lattices`` are those of the world before."""
     world, lower, upper = change
     finest = lattices.levels[0].grid
     reach = lattices.config.padding + finest.resolution

@@ -3,19 +3,11 @@
 World frame, z up, metres. Every kind of primitive is a record of arrays with a leading axis n, which may be 0.
 """
 
-from typing import TYPE_CHECKING, Any
-
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxplan.errors import InputError
 from jaxplan.records import record, static
-
-if TYPE_CHECKING:
-    from jaxplan.world.update import Change
-
-Corners = tuple[Any, Any]
-"""Lower and upper corner [m], three numbers each."""
 
 DEFAULT_KEEP_IN = 0.2
 """m; distance that the vehicle's centre keeps from the room's faces where a file says nothing. The default vehicle's
@@ -184,42 +176,6 @@ class World:
     def diagonal(self) -> float:
         """Length of the room's space diagonal [m] (host)."""
         return float(np.linalg.norm(np.asarray(self.bounds)[1] - np.asarray(self.bounds)[0]))
-
-    def update(
-        self,
-        *,
-        add_box: Corners | None = None,
-        remove_box: int | None = None,
-        occupy: Corners | None = None,
-        free: Corners | None = None,
-    ) -> "Change":
-        """This world with one change, and the box outside of which nothing has changed (host).
-
-        ``search.update.update_lattices`` brings the lattices up to date; the world itself stays as it is.
-
-        Args:
-            add_box: lower and upper corner [m] of a new box along the room's axes, which takes a spare slot
-                (``world.update.with_spare_boxes``).
-            remove_box: the number of a box in ``boxes``; its slot is spare from then on.
-            occupy: corners [m]; all cells of a voxel world that touch this box become occupied.
-            free: corners [m]; all cells that touch this box become free.
-
-        Raises:
-            InputError: not one change but none or several, corners that are not two finite points with lower < upper,
-                no spare slot, no such box, or cells in a world without them.
-        """
-        from jaxplan.world import update
-
-        if sum(change is not None for change in (add_box, remove_box, occupy, free)) != 1:
-            raise InputError("world: want one change: add_box, remove_box, occupy or free; call update once for each")
-        if add_box is not None:
-            return update.add_box(self, *add_box)
-        if remove_box is not None:
-            return update.remove_box(self, remove_box)
-        if occupy is not None:
-            return update.set_occupied(self, *occupy, True)
-        assert free is not None
-        return update.set_occupied(self, *free, False)
 
 
 def no_boxes() -> Boxes:

@@ -1,12 +1,14 @@
-"""Change a world in flight: boxes that come and go, cells that become occupied or free (host). See ``World.update``.
+"""Change a world in flight: boxes that come and go, cells that become occupied or free (host).
 
-Arrays keep their shapes, so that nothing is compiled anew: boxes go into slots that ``with_spare_boxes`` reserved.
+Arrays keep their shapes and dtypes and everything static stays as it was, so that nothing is compiled anew: boxes go
+into slots that ``with_spare_boxes`` reserved. ``jaxplan.search.update`` brings the lattices up to date.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from jaxplan.errors import InputError
 from jaxplan.records import replace
@@ -15,6 +17,9 @@ from jaxplan.world.voxels import set_cells
 
 _ABSENT = 1e6
 """m; where boxes wait that are not there, below every room. Their distance is finite and never the least."""
+
+Corners = tuple[Annotated[ArrayLike, "3"], Annotated[ArrayLike, "3"]]
+"""Lower and upper corner of a box along the room's axes [m, world]."""
 
 
 class Change(NamedTuple):
@@ -38,9 +43,41 @@ def with_spare_boxes(world: World, count: int = 16) -> World:
     return replace(world, obstacles=replace(world.obstacles, boxes=spare))
 
 
-def add_box(world: World, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Change:
+def update_world(
+    world: World,
+    *,
+    add_box: Corners | None = None,
+    remove_box: int | None = None,
+    occupy: Corners | None = None,
+    free: Corners | None = None,
+) -> Change:
+    """``world`` with one change, and the box outside of which nothing has changed; ``world`` itself stays as it is.
+
+    Args:
+        world: of NumPy arrays or on a device; the changed arrays are NumPy.
+        add_box: corners [m] of a new box along the room's axes, which takes a spare slot (``with_spare_boxes``).
+        remove_box: the number of a box in ``world.boxes``; its slot is spare from then on.
+        occupy: corners [m]; all cells of a voxel world that touch this box become occupied.
+        free: corners [m]; all cells that touch this box become free.
+
+    Raises:
+        InputError: not one change but none or several, corners that are not two finite points with lower < upper,
+            no spare slot, no such box, or cells in a world without them.
+    """
+    if sum(change is not None for change in (add_box, remove_box, occupy, free)) != 1:
+        raise InputError("world: want one change: add_box, remove_box, occupy or free; call update_world once for each")
+    if add_box is not None:
+        return _add_box(world, *_corners(add_box))
+    if remove_box is not None:
+        return _remove_box(world, remove_box)
+    if occupy is not None:
+        return _set_occupied(world, *_corners(occupy), True)
+    assert free is not None
+    return _set_occupied(world, *_corners(free), False)
+
+
+def _add_box(world: World, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Change:
     """Add an axis-aligned box from ``lower`` to ``upper`` [m] in a spare slot."""
-    lower, upper = _corners(lower, upper)
     free = np.flatnonzero(np.asarray(world.boxes.center)[:, 2] <= -_ABSENT)
     if not len(free):
         raise InputError("world: have no spare box left, want one; reserve more with with_spare_boxes")
@@ -48,19 +85,18 @@ def add_box(world: World, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray
     return Change(moved, lower, upper)
 
 
-def remove_box(world: World, index: int) -> Change:
+def _remove_box(world: World, index: int) -> Change:
     """Take away box ``index``, whatever its attitude; its slot is spare from then on."""
-    boxes = world.boxes
-    if not 0 <= index < len(boxes.center) or np.asarray(boxes.center)[index, 2] <= -_ABSENT:
+    centers = np.asarray(world.boxes.center)
+    if not 0 <= index < len(centers) or centers[index, 2] <= -_ABSENT:
         raise InputError(f"world {world.name!r}: there is no box {index}; want the number of one in world.boxes")
-    center, reach = np.asarray(boxes.center)[index], np.linalg.norm(np.asarray(boxes.half)[index])
+    reach = np.abs(np.asarray(world.boxes.rotation)[index]) @ np.asarray(world.boxes.half)[index]
     moved = _place_box(world, index, np.full(3, -_ABSENT), np.full(3, 0.5))
-    return Change(moved, center - reach, center + reach)
+    return Change(moved, centers[index] - reach, centers[index] + reach)
 
 
-def set_occupied(world: World, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"], occupied: bool) -> Change:
+def _set_occupied(world: World, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"], occupied: bool) -> Change:
     """Set all cells of a voxel world that touch the box from ``lower`` to ``upper`` [m]."""
-    lower, upper = _corners(lower, upper)
     if world.voxels is None:
         raise InputError(f"world {world.name!r}: have no cells, want a world of cells; add or remove a box")
     voxels = set_cells(world.voxels, lower, upper, occupied)
@@ -78,8 +114,9 @@ def _place_box(world: World, index: int, center: Float[np.ndarray, "3"], half: F
     return replace(world, obstacles=replace(world.obstacles, boxes=moved))
 
 
-def _corners(lower: object, upper: object) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    low, high = np.asarray(lower, dtype=np.float64), np.asarray(upper, dtype=np.float64)
+def _corners(corners: Corners) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Both corners [m] as float64, checked."""
+    low, high = (np.asarray(corner, dtype=np.float64) for corner in corners)
     if low.shape != (3,) or high.shape != (3,) or not (np.isfinite(low) & np.isfinite(high) & (low < high)).all():
         raise InputError(
             f"box: have corners {low.tolist()} and {high.tolist()}, want three finite metres each, lower < upper"

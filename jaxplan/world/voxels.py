@@ -80,14 +80,17 @@ def distance_grid(
     )
 
 
-def set_cells(grid: DistanceGrid, lower: np.ndarray, upper: np.ndarray, occupied: bool) -> DistanceGrid:
+def set_cells(
+    grid: DistanceGrid, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"], occupied: bool
+) -> DistanceGrid:
     """The grid with all cells that touch the box from ``lower`` to ``upper`` [m] set; only its surroundings are redone.
 
     A node's distance can change only within ``FARTHEST`` of a changed cell, and depends on cells that far from itself.
     """
     shape, spacing = np.array(grid.occupied.shape), float(grid.spacing)
-    first = np.floor((np.asarray(lower) - grid.origin) / spacing + 1e-9).astype(int)
-    last = np.ceil((np.asarray(upper) - grid.origin) / spacing - 1e-9).astype(int)
+    origin = np.asarray(grid.origin)
+    first = np.floor((lower - origin) / spacing + 1e-9).astype(int)
+    last = np.ceil((upper - origin) / spacing - 1e-9).astype(int)
     first, last = np.clip(first, 0, shape), np.clip(last, 0, shape)
     cells, squared = np.array(grid.occupied), np.array(grid.squared)
     cells[_window(first, last)] = occupied

@@ -11,12 +11,12 @@ from jaxplan.search.update import update_lattices
 from jaxplan.status import Reason
 from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import World, make_obstacles
-from jaxplan.world.update import with_spare_boxes
+from jaxplan.world.update import update_world, with_spare_boxes
 from jaxplan.world.voxels import distance_grid
 
 
 def changed(world: World, lattices: Lattices, **change: object) -> tuple[World, Lattices]:
-    moved = world.update(**change)
+    moved = update_world(world, **change)
     return moved.world, update_lattices(lattices, moved)
 
 
@@ -97,7 +97,7 @@ def test_nothing_compiles(compilations) -> None:  # type: ignore[no-untyped-def]
 def test_the_world_before_stays_as_it_was() -> None:
     world = with_spare_boxes(load_world("env1"), 1)
     centers = world.boxes.center.copy()
-    change = world.update(add_box=([0, 0, 0], [1, 1, 1]))
+    change = update_world(world, add_box=([0, 0, 0], [1, 1, 1]))
     np.testing.assert_array_equal(world.boxes.center, centers)
     np.testing.assert_array_equal(change.world.boxes.center[-1], [0.5, 0.5, 0.5])
     np.testing.assert_array_equal([change.lower, change.upper], [[0, 0, 0], [1, 1, 1]])
@@ -107,16 +107,16 @@ def test_bad_changes_are_refused() -> None:
     world = load_world("env1")
     spare = with_spare_boxes(world)
     with pytest.raises(InputError, match="spare"):
-        world.update(add_box=([0, 0, 0], [1, 1, 1]))
+        update_world(world, add_box=([0, 0, 0], [1, 1, 1]))
     with pytest.raises(InputError, match="lower < upper"):
-        spare.update(add_box=([0, 0, 0], [1, -1, 1]))
+        update_world(spare, add_box=([0, 0, 0], [1, -1, 1]))
     with pytest.raises(InputError, match="finite"):
-        spare.update(add_box=([0, np.nan, 0], [1, 1, 1]))
+        update_world(spare, add_box=([0, np.nan, 0], [1, 1, 1]))
     for number in (-1, 99, len(spare.boxes.center) - 1):
         with pytest.raises(InputError, match="no box"):
-            spare.update(remove_box=number)
+            update_world(spare, remove_box=number)
     with pytest.raises(InputError, match="no cells"):
-        world.update(occupy=([0, 0, 0], [1, 1, 1]))
+        update_world(world, occupy=([0, 0, 0], [1, 1, 1]))
     for several in ({}, {"remove_box": 0, "free": ([0, 0, 0], [1, 1, 1])}):
         with pytest.raises(InputError, match="one change"):
-            world.update(**several)
+            update_world(world, **several)
