@@ -71,7 +71,7 @@ def evaluate(config: Config, item: Item) -> Row:
     """Fly with every candidate evaluated, and keep some moments."""
     asked = config.intercept()
     episode = interception.fly(interception.prepare(asked, exhaustive=True), lambda text, share: None)
-    telling = [cycle for cycle in episode.cycles if (cycle.plans.lanes >= 0).any()]
+    telling = [cycle for cycle in episode.cycles if (cycle.plans.trajectory >= 0).any()]
     places = np.unique(np.linspace(0, len(telling) - 1, config.moments).astype(int)) if telling else []
     flight = episode.flight
     return {

@@ -14,14 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxplan.errors import InputError
-from jaxplan.planner import Planner, Plans, Timer, select
+from jaxplan.planner import Approaches, Planner, Plans, Timer, select, select_approach
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.predictors import Predictor
 from jaxplan.records import replace
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import Note, PlanStatus, Reason, count_reasons
+from jaxplan.validation import require_positive
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,9 +36,7 @@ class ReplannerConfig:
     """A committed interception stays one while the target is still predicted this close [m] to its goal."""
 
     def __post_init__(self) -> None:
-        for name in ("period", "latency", "keep_radius"):
-            if not 0.0 < getattr(self, name) < float("inf"):
-                raise InputError(f"replanner: {name} is {getattr(self, name)}, want a positive number")
+        require_positive("replanner", self, "period", "latency", "keep_radius")
 
 
 class CommittedPlan(NamedTuple):
@@ -51,6 +49,7 @@ class CommittedPlan(NamedTuple):
     arrival_time: float
     """When the target is expected at the goal [s]; for an approach the vehicle arrives later."""
     alpha: float
+    """How many times slower than at its least time the plan is flown; NaN for a hover."""
     status: PlanStatus
     probability: float = np.nan
     """Of being tracked, by the classifier; NaN where the rotor limits decided."""
@@ -64,7 +63,7 @@ class Cycle(NamedTuple):
     plans: Plans
     """Every candidate of the cycle with its reasons."""
     chosen: int
-    """Index in ``plans`` of what was committed, -1 when the old plan was kept."""
+    """Index in ``plans`` of what was committed; -1 when the old plan was kept, or an approach was committed."""
     stage_ms: dict[str, float]
     generated: int
     rejected: dict[str, int]
@@ -73,6 +72,15 @@ class Cycle(NamedTuple):
     """Discontinuity of position to jerk [SI] and of snap (relative) at the switch; None without a new plan."""
     note: Note = Note(0)
     """What deserves mention about the prediction."""
+
+
+class _Chosen(NamedTuple):
+    """What a cycle commits."""
+
+    among: Plans | Approaches
+    place: int
+    slowdown: float
+    """Multiple of the least time that the trajectory takes."""
 
 
 class Replanner:
@@ -109,24 +117,29 @@ class Replanner:
             derivatives[mine], yaw[mine] = state.derivatives, state.yaw
         return FlatState(derivatives=derivatives, yaw=yaw)
 
+    def _reference_at(self, time: float) -> FlatState:
+        """The commanded flat state at one instant [s]."""
+        states = self.reference(np.array([time]))
+        return FlatState(derivatives=states.derivatives[0], yaw=states.yaw[0])
+
     def step(self, now: float, observations: Observations) -> Cycle:
         """Predict, plan and decide at time ``now`` [s] from the newest observations."""
         timer = Timer()
         takeover = now + self.config.latency
-        state = _only(self.reference(np.array([takeover])))
+        state = self._reference_at(takeover)
         predicted = self._predictor(observations, self._cycles)
         self._cycles += 1
         candidates = replace(predicted, arrival_times=np.asarray(predicted.arrival_times) - self.config.latency)
         timer.lap("predict", predicted)
         plans = self.planner.plan_batch(state, candidates, timer)
-        status, chosen, shown = self._decide(state, candidates, plans, takeover, timer)
-        jump = self._commit(shown, chosen, takeover, status, state) if chosen >= 0 else None
+        status, chosen = self._decide(state, candidates, plans, takeover, timer)
+        jump = None if chosen is None else self._commit(chosen, takeover, status, state)
         timer.lap("select")
         return Cycle(
             time=now,
             status=status,
             plans=plans,
-            chosen=chosen if shown is plans else -1,
+            chosen=chosen.place if chosen is not None and chosen.among is plans else -1,
             stage_ms=timer.stages,
             generated=len(plans.reasons),
             rejected=count_reasons(plans.reasons),
@@ -140,21 +153,22 @@ class Replanner:
 
     def _decide(
         self, state: FlatState, candidates: Candidates, plans: Plans, takeover: float, timer: Timer
-    ) -> tuple[PlanStatus, int, Plans]:
+    ) -> tuple[PlanStatus, _Chosen | None]:
         """The ladder: a better interception, the committed one, an approach, whatever is committed."""
         best, incumbent = select(plans), self._incumbent_score(candidates, takeover)
         if best >= 0 and plans.score[best] > incumbent:
-            return PlanStatus.INTERCEPT, best, plans
+            return PlanStatus.INTERCEPT, _Chosen(plans, best, float(plans.alpha[best]))
         if np.isfinite(incumbent):
-            return PlanStatus.KEPT_COMMITTED, -1, plans
-        approach = self.planner.approach(state, candidates, timer)
-        best = select(approach)
+            return PlanStatus.KEPT_COMMITTED, None
+        approaches = self.planner.approach(state, candidates)
+        timer.lap("approach")
+        best = select_approach(approaches)
         if best >= 0:
-            return PlanStatus.APPROACH, best, approach
+            return PlanStatus.APPROACH, _Chosen(approaches, best, float(approaches.stretch[best]))
         if (np.asarray(candidates.reasons) & np.uint32(Reason.TARGET_LOST)).all():
-            return PlanStatus.TARGET_LOST, -1, plans
-        usable = bool((plans.reasons == 0).any()) or len(approach.reasons) > 0
-        return (PlanStatus.KEPT_COMMITTED if usable else PlanStatus.NO_CANDIDATE), -1, plans
+            return PlanStatus.TARGET_LOST, None
+        usable = bool((plans.reasons == 0).any()) or len(approaches.reasons) > 0
+        return (PlanStatus.KEPT_COMMITTED if usable else PlanStatus.NO_CANDIDATE), None
 
     def _incumbent_score(self, candidates: Candidates, takeover: float) -> float:
         """Score of the committed interception among today's candidates; -inf when it no longer meets the target."""
@@ -169,18 +183,18 @@ class Replanner:
         nearest = int(np.argmin(np.where(same, apart, np.inf)))
         return self.planner.config.likelihood_weight * float(candidates.likelihood[nearest]) - remaining
 
-    def _commit(
-        self, plans: Plans, chosen: int, takeover: float, status: PlanStatus, state: FlatState
-    ) -> Float[np.ndarray, "5"]:
-        spline = plans.spline(chosen)
+    def _commit(self, chosen: _Chosen, takeover: float, status: PlanStatus, state: FlatState) -> Float[np.ndarray, "5"]:
+        """Add a plan that takes over then; returns its discontinuity from ``state``, as ``Cycle.jump``."""
+        among, index = chosen.among, chosen.place
+        spline = among.spline(index)
         plan = CommittedPlan(
             start_time=takeover,
             spline=spline,
-            goal=plans.goals[chosen],
-            arrival_time=takeover + float(plans.arrival_times[chosen]),
-            alpha=float(plans.alpha[chosen]),
+            goal=among.goals[index],
+            arrival_time=takeover + float(among.arrival_times[index]),
+            alpha=chosen.slowdown,
             status=status,
-            probability=float(np.asarray(plans.margins.probability)[plans.lanes[chosen]]),
+            probability=among.probability(index),
         )
         self.plans.append(plan)
         jump = np.abs(spline.state(0.0).derivatives - state.derivatives).max(axis=-1)
@@ -215,7 +229,3 @@ def _hold(state: FlatState) -> CommittedPlan:
     position[0, 0], yaw[0, 0] = state.pos, state.yaw[0]
     spline = PiecewisePolynomial(durations=np.ones(1), position=position, yaw=yaw)
     return CommittedPlan(-np.inf, spline, np.asarray(state.pos), np.inf, np.nan, PlanStatus.NOT_SET)
-
-
-def _only(states: FlatState) -> FlatState:
-    return FlatState(derivatives=states.derivatives[0], yaw=states.yaw[0])

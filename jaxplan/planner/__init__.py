@@ -4,6 +4,16 @@ candidates -> search -> knots -> policy <-> arrival -> minimum snap -> checks ->
 """
 
 from jaxplan.planner.build import build_planner
-from jaxplan.planner.records import Planner, PlannerConfig, Plans, Timer, select
+from jaxplan.planner.records import Approaches, Planner, PlannerConfig, Plans, select, select_approach
+from jaxplan.planner.timer import Timer
 
-__all__ = ["Planner", "PlannerConfig", "Plans", "Timer", "build_planner", "select"]
+__all__ = [
+    "Approaches",
+    "Planner",
+    "PlannerConfig",
+    "Plans",
+    "Timer",
+    "build_planner",
+    "select",
+    "select_approach",
+]

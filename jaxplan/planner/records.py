@@ -1,29 +1,23 @@
-"""What the planner is told, what it returns and how it measures itself."""
+"""What the planner is told and what it returns."""
 
 import dataclasses
-import time
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple, Protocol
 
-import jax
 import numpy as np
 from jaxtyping import Float, Int, UInt32
 
 from jaxplan.arrival import ArrivalConfig
-from jaxplan.errors import InputError
 from jaxplan.knots import KnotConfig
 from jaxplan.minsnap.spline_batch import SplineBatch
+from jaxplan.planner.timer import Timer
+from jaxplan.prediction.candidates import Candidates
 from jaxplan.records import record
 from jaxplan.selection import CheckConfig, Margins
 from jaxplan.selection import select as select_best
 from jaxplan.spline import FlatState, PiecewisePolynomial
+from jaxplan.validation import require_at_least, require_positive, require_within
 from jaxplan.world.obstacles import World
-
-APPROACH_GOALS = 4
-APPROACH_SHARES = (1.0, 0.6, 0.3)
-APPROACH_STRETCHES = (1.0, 1.4, 2.0)
-"""An approach tries this many goals, each along these shares of its path, at these multiples of its least time
-(arbitrary)."""
+from jaxplan.world.update import Change
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,7 +34,7 @@ class PlannerConfig:
     """Seconds that a likelihood of 1 is worth in the selection (paper eq. 9 leaves the unit open)."""
     path_capacity: int = 32
     """Corners of the longest taut path; longer ones are planned as prefixes."""
-    lanes: int = 64
+    width: int = 64
     """Candidates that the compiled stations take at a time; on a GPU, as many as there are (decision 0014)."""
     exhaustive: bool = False
     """Match and check every candidate (the paper) instead of the best ones until one passes: the same winner."""
@@ -49,13 +43,9 @@ class PlannerConfig:
     checks: CheckConfig = CheckConfig()
 
     def __post_init__(self) -> None:
-        for name in ("max_speed", "max_yaw_rate"):
-            if not 0.0 < getattr(self, name) < float("inf"):
-                raise InputError(f"planner: {name} is {getattr(self, name)}, want a positive number")
-        if not 0.0 <= self.padding < float("inf"):
-            raise InputError(f"planner: padding is {self.padding} m, want 0 or more")
-        if not 1 <= self.lanes <= 65536:
-            raise InputError(f"planner: lanes is {self.lanes}, want 1 to 65536")
+        require_positive("planner", self, "max_speed", "max_yaw_rate")
+        require_at_least("planner", self, 0, "padding")
+        require_within("planner", self, 1, 65536, "width")
 
 
 @record
@@ -63,6 +53,7 @@ class Plans:
     """What became of every candidate, in the order they were given."""
 
     goals: Float[np.ndarray, "k 3"]
+    """Positions [m, world]."""
     arrival_times: Float[np.ndarray, "k"]
     """When each target is there [s from the start state]."""
     reasons: UInt32[np.ndarray, "k"]
@@ -71,14 +62,46 @@ class Plans:
     """What the selection maximises [s]."""
     alpha: Float[np.ndarray, "k"]
     """Scale factor of the time allocation; NaN where none was computed."""
-    lanes: Int[np.ndarray, "k"]
-    """Lane of each candidate in ``splines`` and ``margins``; -1 for those without a trajectory."""
+    trajectory: Int[np.ndarray, "k"]
+    """Place of each candidate's trajectory in ``splines`` and ``margins``; -1 for those without one."""
     splines: SplineBatch
     margins: Margins
 
     def spline(self, index: int) -> PiecewisePolynomial:
         """The trajectory to candidate ``index`` (host, NumPy)."""
-        return self.splines.spline(int(self.lanes[index]))
+        return self.splines.spline(int(self.trajectory[index]))
+
+    def probability(self, index: int) -> float:
+        """Of candidate ``index`` being tracked, by the classifier; NaN where the rotor limits decided."""
+        return float(np.asarray(self.margins.probability)[self.trajectory[index]])
+
+
+@record
+class Approaches:
+    """Trajectories towards goals that cannot be met in time, each a goal, a part of its path and a pace."""
+
+    goals: Float[np.ndarray, "n 3"]
+    """Positions [m, world] that the paths lead to."""
+    arrival_times: Float[np.ndarray, "n"]
+    """When each target is at its goal [s from the start state]."""
+    share: Float[np.ndarray, "n"]
+    """Part of the path to the goal that the trajectory covers before it comes to rest."""
+    stretch: Float[np.ndarray, "n"]
+    """Multiple of the least time that it takes."""
+    lateness: Float[np.ndarray, "n"]
+    """How much later than the target [s] the vehicle would be at the goal at this pace."""
+    reasons: UInt32[np.ndarray, "n"]
+    """0 means usable."""
+    splines: SplineBatch
+    margins: Margins
+
+    def spline(self, index: int) -> PiecewisePolynomial:
+        """One of the trajectories (host, NumPy)."""
+        return self.splines.spline(index)
+
+    def probability(self, index: int) -> float:
+        """Of trajectory ``index`` being tracked, by the classifier; NaN where the rotor limits decided."""
+        return float(np.asarray(self.margins.probability)[index])
 
 
 def select(plans: Plans) -> int:
@@ -86,29 +109,53 @@ def select(plans: Plans) -> int:
     return select_best(plans.score, plans.reasons)
 
 
-class Planner(NamedTuple):
-    """The planner's functions; after ``warmup`` none of them compiles anything."""
+def select_approach(approaches: Approaches) -> int:
+    """Index of the approach that is least late; -1 when none is usable."""
+    return select_best(-approaches.lateness, approaches.reasons)
 
-    plan_batch: Callable[..., Plans]
-    """(state, candidates, timer): trajectories from one state timed to meet each candidate (paper, Sec. III-B)."""
-    approach: Callable[..., Plans]
-    """(state, candidates, timer): trajectories towards the latest candidates, only late, for when none can be met."""
-    warmup: Callable[[FlatState], None]
+
+class PlanBatch(Protocol):
+    """Trajectories from one state timed to meet each candidate (paper, Sec. III-B)."""
+
+    def __call__(self, state: FlatState, candidates: Candidates, timer: Timer | None = None) -> Plans:
+        """``state`` in float64; ``timer`` collects the milliseconds of the stations."""
+
+
+class Approach(Protocol):
+    """Trajectories towards the latest candidates, only late, for when none can be met."""
+
+    def __call__(self, state: FlatState, candidates: Candidates) -> Approaches:
+        """As ``PlanBatch``."""
+
+
+class Warmup(Protocol):
     """Compile every station."""
-    in_world: Callable[[World], "Planner"]
+
+    def __call__(self, state: FlatState) -> None:
+        """Any state in the world will do; after this call nothing is compiled any more."""
+
+
+class InWorld(Protocol):
     """The same planner in another world, with all that is compiled without looking at the world."""
+
+    def __call__(self, world: World) -> "Planner":
+        """Prepares the lattices of ``world``."""
+
+
+class Update(Protocol):
+    """The same planner after a change of its world (``jaxplan.world.update``)."""
+
+    def __call__(self, change: Change) -> "Planner":
+        """Patches the lattices around what changed; compiles nothing."""
+
+
+class Planner(NamedTuple):
+    """The planner's functions; after ``warmup`` none of them compiles anything, but ``in_world`` for obstacles of other
+    numbers."""
+
+    plan_batch: PlanBatch
+    approach: Approach
+    warmup: Warmup
+    in_world: InWorld
+    update: Update
     config: PlannerConfig
-
-
-class Timer:
-    """Wall time of the stations [ms]; waits for compiled results, so that each station pays for itself."""
-
-    def __init__(self) -> None:
-        self.stages: dict[str, float] = {}
-        self._last = time.perf_counter()
-
-    def lap(self, stage: str, result: Any = None) -> None:
-        jax.block_until_ready(result)
-        now = time.perf_counter()
-        self.stages[stage] = self.stages.get(stage, 0.0) + 1e3 * (now - self._last)
-        self._last = now

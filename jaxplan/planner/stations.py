@@ -1,17 +1,17 @@
-"""The compiled stations of a replan, each on its own so that it can be timed, all for the same number of lanes.
+"""The compiled stations of a replan, each on its own so that it can be timed, all for the same number of candidates.
 
 The world is an argument of the two stations that see it, not a constant: a distance grid would bloat the program, and
 the other stations serve every world.
 """
 
-from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt32
 
+from jaxplan.arrays import AnyArray
 from jaxplan.arrival import Arrival, match_arrival
 from jaxplan.feasibility.classifier import Classifier
 from jaxplan.knots import MAX_WAYPOINTS, select_routes
@@ -32,25 +32,66 @@ LENGTHS = (7, MAX_WAYPOINTS)
 class Routes(NamedTuple):
     """Searched paths in the form that the compiled stations want, batch axis last."""
 
-    waypoints: Float[Array, "n 3 k"]
-    count: Int[Array, "k"]
-    samples: Float[Array, "p 3 k"]
-    reasons: UInt32[Array, "k"]
+    waypoints: Float[AnyArray, "n 3 k"]
+    """Knots of each path [m, world]; the goal is repeated behind the last one."""
+    count: Int[AnyArray, "k"]
+    """Waypoints in use."""
+    samples: Float[AnyArray, "p 3 k"]
+    """The paths at equal steps of arc length [m, world], for the deviation test."""
+    reasons: UInt32[AnyArray, "k"]
+
+
+class Trajectories(NamedTuple):
+    """Solved and checked, batch axis last."""
+
+    splines: SplineBatch
+    margins: Margins
+
+
+class Reject(Protocol):
+    """Early reasons against candidates."""
+
+    def __call__(self, world: World, candidates: Candidates, start: Float[AnyArray, "3"]) -> Candidates:
+        """``start`` is where the plan begins [m, world]."""
+
+
+class Route(Protocol):
+    """Waypoints along paths."""
+
+    def __call__(self, paths: Float[AnyArray, "k l 3"], shares: Float[AnyArray, "k"]) -> Routes:
+        """Corners of the paths [m, world], and which part of each is wanted, from its start."""
+
+
+class Match(Protocol):
+    """Durations that arrive at given times."""
+
+    def __call__(self, state: FlatState, routes: Routes, arrival_times: Float[AnyArray, "k"]) -> Arrival:
+        """For arrival times of 0 [s] it ends after one call of the policy, which has its least durations: the same
+        program serves both."""
+
+
+class Solve(Protocol):
+    """Minimum-snap trajectories with all their checks but the one for obstacles."""
+
+    def __call__(self, state: FlatState, routes: Routes, durations: Float[AnyArray, "m k"]) -> Trajectories:
+        """``durations`` in seconds per segment, 0 behind the last one."""
+
+
+class Clear(Protocol):
+    """The same trajectories with their clearance."""
+
+    def __call__(self, world: World, trajectories: Trajectories) -> Trajectories:
+        """Checks against the obstacles and faces of ``world``."""
 
 
 class Stations(NamedTuple):
     """The compiled functions."""
 
-    reject: Callable[..., Candidates]
-    """(world, candidates, start)."""
-    route: Callable[..., Routes]
-    match: Callable[..., Arrival]
-    """(state, routes, arrival times). For arrival times of 0 it ends after one call of the policy, which has its least
-    durations: the same program serves both."""
-    trace: Callable[..., tuple[SplineBatch, Margins]]
-    """(state, routes, durations): solved and checked, but for obstacles."""
-    clear: Callable[..., Margins]
-    """(world, splines, margins): with the clearance."""
+    reject: Reject
+    route: Route
+    match: Match
+    solve: Solve
+    clear: Clear
 
 
 def compile_stations(
@@ -78,16 +119,17 @@ def compile_stations(
         return match_arrival(lambda d: policy.decode(context, d), state, arrival_times, config.arrival)
 
     @jax.jit
-    def trace(state: FlatState, routes: Routes, durations: Float[Array, "m k"]) -> tuple[SplineBatch, Margins]:
+    def solve(state: FlatState, routes: Routes, durations: Float[Array, "m k"]) -> Trajectories:
         splines = fit(state, routes.waypoints, durations, config.max_yaw_rate)
         probability = None if classifier is None else classifier.predict(splines, vehicle).probability
-        return splines, check_flight(splines, routes.samples, vehicle, config.checks, probability)
+        return Trajectories(splines, check_flight(splines, routes.samples, vehicle, config.checks, probability))
 
     @jax.jit
-    def clear(world: World, splines: SplineBatch, margins: Margins) -> Margins:
-        return check_clearance(margins, splines, world, vehicle, config.checks)
+    def clear(world: World, trajectories: Trajectories) -> Trajectories:
+        splines, margins = trajectories
+        return Trajectories(splines, check_clearance(margins, splines, world, vehicle, config.checks))
 
-    return Stations(reject, route, match, trace, clear)
+    return Stations(reject, route, match, solve, clear)
 
 
 def shortened(routes: Routes) -> Routes:
@@ -100,11 +142,12 @@ def cut(routes: Routes, length: int) -> Routes:
     return routes._replace(waypoints=np.asarray(routes.waypoints)[:length])
 
 
-def no_trajectories() -> tuple[SplineBatch, Margins]:
-    """What ``trace`` and ``clear`` give for no candidate at all."""
+def no_trajectories() -> Trajectories:
+    """What the stations give for no candidate at all."""
     segments, none = MAX_WAYPOINTS - 1, np.zeros(0)
     splines = SplineBatch(
         durations=np.zeros((segments, 0)), position=np.zeros((segments, 10, 3, 0)), yaw=np.zeros((segments, 6, 1, 0))
     )
     reasons = np.zeros(0, np.uint32)
-    return splines, Margins(deviation=none, clearance=none, rotor_speed=none, probability=none, reasons=reasons)
+    margins = Margins(deviation=none, clearance=none, rotor_speed=none, probability=none, reasons=reasons)
+    return Trajectories(splines, margins)

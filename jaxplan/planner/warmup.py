@@ -19,8 +19,8 @@ from jaxplan.world.obstacles import World
 def compile_all(stations: Stations, world: World, config: PlannerConfig, state: FlatState) -> None:
     """Compile the lengths side by side: XLA leaves a core idle for much of the time."""
     with _uncollected(), ThreadPoolExecutor(len(LENGTHS)) as pool:
-        paths = np.tile(np.asarray(state.pos), (config.lanes, config.path_capacity, 1))
-        whole = jax.tree.map(np.asarray, stations.route(paths, np.ones(config.lanes)))
+        paths = np.tile(np.asarray(state.pos), (config.width, config.path_capacity, 1))
+        whole = jax.tree.map(np.asarray, stations.route(paths, np.ones(config.width)))
         list(pool.map(in_float64(functools.partial(_compile, stations, world, state, whole)), LENGTHS))
 
 
@@ -28,7 +28,7 @@ def _compile(stations: Stations, world: World, state: FlatState, whole: Routes, 
     """Call the stations, each with what the one before it returns."""
     routes = cut(whole, length)
     arrival = stations.match(state, routes, np.zeros(len(routes.count)))
-    jax.block_until_ready(stations.clear(world, *stations.trace(state, routes, arrival.durations)))
+    jax.block_until_ready(stations.clear(world, stations.solve(state, routes, arrival.durations)))
 
 
 @contextlib.contextmanager

@@ -40,17 +40,17 @@ def illustrative_cycle(cycles: "Sequence[Cycle]") -> "Cycle | None":
 def _total_distance(cycle: "Cycle") -> float:
     """Straight distances [m] from the start to the goals of all trajectories of a cycle, added up."""
     plans = cycle.plans
-    traced = np.asarray(plans.lanes) >= 0
-    starts = np.asarray(plans.splines.position)[0, 0][:, np.asarray(plans.lanes)[traced]].T
+    traced = np.asarray(plans.trajectory) >= 0
+    starts = np.asarray(plans.splines.position)[0, 0][:, np.asarray(plans.trajectory)[traced]].T
     return float(np.nansum(np.linalg.norm(np.asarray(plans.goals)[traced] - starts, axis=1)))
 
 
 def candidate_curves(cycle: "Cycle", samples: int = 12) -> CandidateCurves:
     """Sample all trajectories of a cycle, ``samples`` points per segment."""
     plans = cycle.plans
-    lanes = np.asarray(plans.lanes)
-    traced = np.flatnonzero(lanes >= 0)
-    coefficients = np.asarray(plans.splines.position)[..., lanes[traced]]
+    columns = np.asarray(plans.trajectory)
+    traced = np.flatnonzero(columns >= 0)
+    coefficients = np.asarray(plans.splines.position)[..., columns[traced]]
     powers = np.linspace(0.0, 1.0, samples)[:, None] ** np.arange(coefficients.shape[1])
     points = np.einsum("sn,mnak->kmsa", powers, coefficients)
     curves = points.reshape(len(traced), -1, 3)

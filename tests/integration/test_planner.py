@@ -9,7 +9,7 @@ import pytest
 from jaxplan.compilation import compilations
 from jaxplan.errors import InputError
 from jaxplan.knots import KnotConfig
-from jaxplan.planner import PlannerConfig, build_planner, select
+from jaxplan.planner import PlannerConfig, build_planner, select, select_approach
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
 from jaxplan.prediction.observations import first_observation
@@ -21,9 +21,10 @@ from jaxplan.vehicle.params import load_vehicle
 from jaxplan.world.clearance import clearance, wall_clearance
 from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import Boxes, make_obstacles
+from jaxplan.world.update import update_world, with_spare_boxes
 
 START = np.array([-4.3, -4.3, 1.0])
-CONFIG = PlannerConfig(lanes=16, knots=KnotConfig(distance_per_knot=1.0))
+CONFIG = PlannerConfig(width=16, knots=KnotConfig(distance_per_knot=1.0))
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +89,7 @@ def test_taking_the_best_first_finds_the_winner_of_an_exhaustive_evaluation(worl
         given = replace(given, arrival_times=times)
         quick, whole = ordered.plan_batch(moving, given), exhaustive.plan_batch(moving, given)
         assert select(quick) == select(whole)
-        evaluated = quick.lanes >= 0
+        evaluated = quick.trajectory >= 0
         rounds.add(int(evaluated.sum()))
         winners += select(whole) >= 0
         skipped = (quick.reasons & int(Reason.OUTRANKED)) > 0
@@ -103,7 +104,7 @@ def test_taking_the_best_first_finds_the_winner_of_an_exhaustive_evaluation(worl
 
 
 def replace_config(exhaustive):
-    return PlannerConfig(lanes=32, knots=KnotConfig(distance_per_knot=1.0), exhaustive=exhaustive)
+    return PlannerConfig(width=32, knots=KnotConfig(distance_per_knot=1.0), exhaustive=exhaustive)
 
 
 def test_order_of_candidates_does_not_matter(planner, moving):
@@ -141,7 +142,7 @@ def test_no_candidate_means_no_plan(planner, moving):
     plans = planner.plan_batch(moving, nothing)
     assert select(plans) == -1
     assert (plans.reasons & int(Reason.NONFINITE) > 0).all()
-    assert select(planner.approach(moving, nothing)) == -1
+    assert select_approach(planner.approach(moving, nothing)) == -1
 
 
 def test_removing_the_obstacles_never_turns_an_accept_into_a_clearance_reject(planner, world, moving):
@@ -154,14 +155,14 @@ def test_removing_the_obstacles_never_turns_an_accept_into_a_clearance_reject(pl
     assert (plans.reasons == 0).sum() >= (crowded.reasons == 0).sum()
 
 
-def test_how_many_lanes_a_program_takes_changes_nothing(planner, world, moving):
+def test_how_many_candidates_a_program_takes_changes_nothing(planner, world, moving):
     """One call for all candidates, or many with a part of them each."""
     wide = build_planner(
-        dataclasses.replace(CONFIG, lanes=90), world=world, vehicle=load_vehicle(), policy=constant_speed_policy()
+        dataclasses.replace(CONFIG, width=90), world=world, vehicle=load_vehicle(), policy=constant_speed_policy()
     )
     some, all_at_once = planner.plan_batch(moving, candidates(83)), wide.plan_batch(moving, candidates(83))
     assert select(some) == select(all_at_once) >= 0
-    both = (some.lanes >= 0) & (all_at_once.lanes >= 0)
+    both = (some.trajectory >= 0) & (all_at_once.trajectory >= 0)
     assert both.sum() > 3
     np.testing.assert_array_equal(some.reasons[both], all_at_once.reasons[both])
     np.testing.assert_allclose(some.alpha[both], all_at_once.alpha[both], rtol=1e-9)
@@ -184,17 +185,37 @@ def test_a_planner_taken_to_another_world_plans_as_one_built_there(planner, worl
     assert compilations() == before
 
 
+def test_a_planner_of_a_changed_world_plans_as_one_built_there_and_compiles_nothing(world, moving):
+    """A box that comes and goes: lattices are patched, what is compiled is shared."""
+    roomy = with_spare_boxes(world, 1)
+    old = build_planner(CONFIG, world=roomy, vehicle=load_vehicle(), policy=constant_speed_policy())
+    given = candidates(30)
+    before = old.plan_batch(moving, given)
+    change = update_world(roomy, add_box=([-1.5, -3.0, 0.0], [-0.5, 1.0, 2.0]))
+    counted = compilations()
+    changed = old.update(change)
+    after = changed.plan_batch(moving, given)
+    changed.approach(moving, given)
+    assert compilations() == counted
+    built = build_planner(CONFIG, world=change.world, vehicle=load_vehicle(), policy=constant_speed_policy())
+    fresh = built.plan_batch(moving, given)
+    np.testing.assert_array_equal(after.reasons, fresh.reasons)
+    np.testing.assert_allclose(after.alpha, fresh.alpha, rtol=1e-12)
+    assert (after.reasons != before.reasons).any()
+    np.testing.assert_array_equal(old.plan_batch(moving, given).reasons, before.reasons)
+
+
 def test_no_candidates_at_all(planner, moving):
     none = candidates_from(START, np.zeros((0, 3)), np.zeros(0), np.zeros(0))
-    for plans in (planner.plan_batch(moving, none), planner.approach(moving, none)):
-        assert select(plans) == -1
-        assert len(plans.reasons) == 0
+    plans, approaches = planner.plan_batch(moving, none), planner.approach(moving, none)
+    assert select(plans) == select_approach(approaches) == -1
+    assert len(plans.reasons) == len(approaches.reasons) == 0
 
 
-@pytest.mark.parametrize("lanes", [0, -3, 10**6])
-def test_a_width_that_no_program_can_have_is_refused(lanes):
-    with pytest.raises(InputError, match="lanes"):
-        PlannerConfig(lanes=lanes)
+@pytest.mark.parametrize("width", [0, -3, 10**6])
+def test_a_width_that_no_program_can_have_is_refused(width):
+    with pytest.raises(InputError, match="width"):
+        PlannerConfig(width=width)
 
 
 class Script:

@@ -62,7 +62,7 @@ def made_up_cycle(start: np.ndarray, goals: np.ndarray, time: float = 0.5, chose
     reasons = np.where(np.arange(len(goals)) % 2, Reason.CLEARANCE, 0).astype(np.uint32)
     reasons[traced:] = int(Reason.OUT_OF_REACH)
     lanes = np.concatenate([np.arange(traced), [-1, -1]])
-    plans = SimpleNamespace(goals=goals, reasons=reasons, lanes=lanes, splines=splines)
+    plans = SimpleNamespace(goals=goals, reasons=reasons, trajectory=lanes, splines=splines)
     return SimpleNamespace(time=time, status=PlanStatus.INTERCEPT, plans=plans, chosen=chosen)
 
 

@@ -1,0 +1,85 @@
+"""What a planner is made of, and its stations for any number of candidates (host).
+
+Every station is compiled for one width and called as often as there are candidates for (decision 0014).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Float, Int, UInt32
+
+from jaxplan.batching import in_portions, pick
+from jaxplan.planner.records import PlannerConfig
+from jaxplan.planner.stations import Routes, Stations, Trajectories, shortened
+from jaxplan.prediction.candidates import Candidates
+from jaxplan.search.lattice import Lattices, Paths
+from jaxplan.search.routes import find_routes
+from jaxplan.spline import FlatState
+from jaxplan.world.obstacles import World
+
+GOALS_AT_ONCE = 512
+"""Candidates that are looked at before the search in one call: little work each (arbitrary)."""
+
+
+class Parts(NamedTuple):
+    """Configuration, compiled stations, and a world with its lattices."""
+
+    config: PlannerConfig
+    stations: Stations
+    lattices: Lattices
+    world: World
+
+    def reject(self, state: FlatState, candidates: Candidates) -> UInt32[np.ndarray, "k"]:
+        """Early reasons against each candidate."""
+        goals, times = np.asarray(candidates.goals), np.asarray(candidates.arrival_times)
+        likelihood, reasons = np.asarray(candidates.likelihood), np.asarray(candidates.reasons)
+        start, target = np.asarray(state.pos), np.asarray(candidates.target)
+        if len(goals) == 0:
+            return reasons.copy()
+
+        def mark(members: Int[np.ndarray, "n"]) -> UInt32[Array, "n"]:
+            some = Candidates(
+                goals=goals[members],
+                arrival_times=times[members],
+                likelihood=likelihood[members],
+                reasons=reasons[members],
+                target=target,
+            )
+            return self.stations.reject(self.world, some, start).reasons
+
+        return in_portions(mark, np.arange(len(goals)), GOALS_AT_ONCE)
+
+    def search(self, state: FlatState, goals: Float[np.ndarray, "k 3"], target: Float[np.ndarray, "3"]) -> Paths:
+        """Taut paths from the state to the goals; the distance to the target [m] chooses the lattice."""
+        start = np.asarray(state.pos)
+        distance = float(np.linalg.norm(target - start))
+        return find_routes(self.lattices, self.world, start, goals, distance, capacity=self.config.path_capacity)
+
+    def route(self, paths: Paths, member: Int[np.ndarray, "k"], shares: Float[np.ndarray, "k"]) -> Routes:
+        """Waypoints along the first ``shares`` of the paths ``member``, in arrays no longer than needed."""
+
+        def place(some: Int[np.ndarray, "n"]) -> Routes:
+            return self.stations.route(paths.points[member[some]], shares[some])
+
+        return shortened(in_portions(place, np.arange(len(member)), self.config.width))
+
+    def least_durations(self, state: FlatState, routes: Routes) -> Float[np.ndarray, "m k"]:
+        """The policy's least durations [s]."""
+        at_once = np.zeros(self.config.width)
+
+        def ask(some: Int[np.ndarray, "n"]) -> Float[Array, "m n"]:
+            return self.stations.match(state, pick(routes, some), at_once).least_durations
+
+        return in_portions(ask, np.arange(len(routes.count)), self.config.width)
+
+    def check(self, state: FlatState, routes: Routes, durations: Float[Array, "m k"]) -> Trajectories:
+        """Solved and checked trajectories, as many as the stations take."""
+        return self.stations.clear(self.world, self.stations.solve(state, routes, durations))
+
+    def check_all(self, state: FlatState, routes: Routes, durations: Float[np.ndarray, "m k"]) -> Trajectories:
+        """Solved and checked trajectories, any number of them."""
+
+        def check(some: Int[np.ndarray, "n"]) -> Trajectories:
+            return self.check(state, pick(routes, some), durations[:, some])
+
+        return in_portions(check, np.arange(len(routes.count)), self.config.width)

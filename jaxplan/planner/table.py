@@ -1,0 +1,159 @@
+"""The candidates of a replan as one table, and the stations that fill it: reject, search, knots, bound, match, check.
+
+Each station takes the table and the rows that it is to look at, and returns the table with what it has found out. None
+keeps time, none decides who comes next: ``plan_batch`` does.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int, UInt32
+
+from jaxplan.arrival import Arrival
+from jaxplan.batching import fill, join, pick
+from jaxplan.planner.parts import Parts
+from jaxplan.planner.records import Plans
+from jaxplan.planner.stations import Routes, Trajectories, no_trajectories
+from jaxplan.prediction.candidates import Candidates
+from jaxplan.search.lattice import Paths
+from jaxplan.spline import FlatState
+from jaxplan.status import Reason
+
+Rows = Int[np.ndarray, "n"]
+
+
+class Matched(NamedTuple):
+    """Rows that have durations, but no trajectories yet; filled up to the width of the stations."""
+
+    rows: Rows
+    routes: Routes
+    arrival: Arrival
+
+
+class Table(NamedTuple):
+    """One row for each of k candidates, in the order given. Rows without a route or trajectory have -1 there."""
+
+    candidates: Candidates
+    score: Float[np.ndarray, "k"]
+    """What the selection maximises [s]."""
+    reasons: UInt32[np.ndarray, "k"]
+    alpha: Float[np.ndarray, "k"]
+    """Scale factor of the time allocation; NaN where none was computed."""
+    route: Int[np.ndarray, "k"]
+    """Column of ``paths`` and ``routes``."""
+    trajectory: Int[np.ndarray, "k"]
+    """Column of all ``trajectories``, one after the other."""
+    paths: Paths | None = None
+    routes: Routes | None = None
+    matched: Matched | None = None
+    trajectories: tuple[tuple[Trajectories, int], ...] = ()
+    """What each round gave, and how many of its columns count."""
+
+    @property
+    def every_row(self) -> Rows:
+        """All rows."""
+        return np.arange(len(self.reasons))
+
+    def usable(self) -> Rows:
+        """Rows with no reason against them so far."""
+        return np.flatnonzero(self.reasons == 0)
+
+    def best_first(self) -> Rows:
+        """The usable rows, the best score first, equal ones in the order given."""
+        rows = np.flatnonzero((self.reasons == 0) & np.isfinite(self.score))
+        return rows[np.argsort(-self.score[rows], kind="stable")]
+
+    def against(self, rows: Rows, reasons: UInt32[np.ndarray, "n"]) -> "Table":
+        """The table with more reasons against some rows."""
+        merged = self.reasons.copy()
+        merged[rows] |= reasons
+        return self._replace(reasons=merged)
+
+    def arrival_times(self, rows: Rows) -> Float[np.ndarray, "n"]:
+        """When the targets of some rows are at their goals [s from the start state]."""
+        return np.asarray(self.candidates.arrival_times)[rows]
+
+    def goals(self, rows: Rows) -> Float[np.ndarray, "n 3"]:
+        """Where the targets of some rows are met [m, world]."""
+        return np.asarray(self.candidates.goals)[rows]
+
+    def plans(self) -> Plans:
+        """The table as it is returned."""
+        splines, margins = join(self.trajectories) if self.trajectories else no_trajectories()
+        return Plans(
+            goals=self.goals(self.every_row),
+            arrival_times=self.arrival_times(self.every_row),
+            reasons=self.reasons,
+            score=self.score,
+            alpha=self.alpha,
+            trajectory=self.trajectory,
+            splines=splines,
+            margins=margins,
+        )
+
+
+def table_of(candidates: Candidates, likelihood_weight: float) -> Table:
+    """A table of which nothing is known but the score (paper eq. 9)."""
+    count = len(candidates.goals)
+    score = likelihood_weight * np.asarray(candidates.likelihood) - np.asarray(candidates.arrival_times)
+    nowhere = np.full(count, -1)
+    return Table(candidates, score, np.zeros(count, np.uint32), np.full(count, np.nan), nowhere, nowhere)
+
+
+def reject(parts: Parts, state: FlatState, table: Table) -> Table:
+    """Mark what cannot be a goal."""
+    return table.against(table.every_row, parts.reject(state, table.candidates))
+
+
+def search(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
+    """Find a path to each row's goal."""
+    paths = parts.search(state, table.goals(rows), np.asarray(table.candidates.target))
+    return table.against(rows, paths.reasons)._replace(paths=paths, route=_numbered(table.route, rows, 0))
+
+
+def knots(parts: Parts, table: Table, rows: Rows) -> Table:
+    """Place waypoints along the paths of all ``rows`` that were searched."""
+    assert table.paths is not None, "rows are searched first"
+    routes = parts.route(table.paths, table.route[rows], np.ones(len(rows)))
+    return table.against(rows, routes.reasons)._replace(routes=routes)
+
+
+def bound(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
+    """Ask the policy for the least time to each goal: what takes longer than T_goal cannot be met (alpha < 1)."""
+    assert table.routes is not None, "waypoints come first"
+    alpha = table.alpha.copy()
+    alpha[rows] = table.arrival_times(rows) / parts.least_durations(state, table.routes).sum(axis=0)
+    late = ~(alpha[rows] >= 1.0 - parts.config.arrival.tolerance)
+    return table.against(rows, np.where(late, Reason.ALPHA_LT_1, 0).astype(np.uint32))._replace(alpha=alpha)
+
+
+def match(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
+    """Slow at most ``width`` rows down until each arrives at T_goal."""
+    padded = fill(rows, parts.config.width)
+    routes = pick(table.routes, table.route[padded])
+    return table._replace(
+        matched=Matched(rows, routes, parts.stations.match(state, routes, table.arrival_times(padded)))
+    )
+
+
+def check(parts: Parts, state: FlatState, table: Table) -> Table:
+    """Solve and check the trajectories of the rows just matched."""
+    assert table.matched is not None, "rows are matched first"
+    rows, routes, arrival = table.matched
+    found = parts.check(state, routes, arrival.durations)
+    alpha = table.alpha.copy()
+    alpha[rows] = np.asarray(arrival.alpha)[: len(rows)]
+    reasons = np.asarray(arrival.reasons) | np.asarray(found.margins.reasons)
+    return table.against(rows, reasons[: len(rows)])._replace(
+        alpha=alpha,
+        trajectory=_numbered(table.trajectory, rows, sum(count for _, count in table.trajectories)),
+        matched=None,
+        trajectories=(*table.trajectories, (found, len(rows))),
+    )
+
+
+def _numbered(columns: Int[np.ndarray, "k"], rows: Rows, first: int) -> Int[np.ndarray, "k"]:
+    """The columns with those of ``rows`` counted from ``first`` on."""
+    numbered = columns.copy()
+    numbered[rows] = first + np.arange(len(rows))
+    return numbered
