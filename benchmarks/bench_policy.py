@@ -15,7 +15,7 @@ from jaxplan.arrival import ArrivalConfig, match_arrival
 from jaxplan.feasibility.checkpoint import load_classifier
 from jaxplan.minsnap.spline_batch import fit_each
 from jaxplan.policy.checkpoint import load_policy
-from jaxplan.spline import FlatState, repeated
+from jaxplan.spline import FlatState
 from jaxplan.vehicle.params import load_vehicle
 
 from . import _harness
@@ -35,7 +35,7 @@ def measure(policy, classifier, vehicle, lanes, waypoints, repeats):
     points, count = sequences(lanes, waypoints, rng)
     derivatives = rng.normal(size=(5, 3)) * np.array([[0.0], [2.0], [3.0], [5.0], [10.0]])
     state = FlatState(derivatives=derivatives, yaw=np.zeros(3))
-    states = repeated(state, lanes)
+    states = state.repeated(lanes)
     encode, decode = jax.jit(policy.encode), jax.jit(policy.decode)
     context = encode(points, count)
     least = np.asarray(decode(context, states)).sum(axis=0)

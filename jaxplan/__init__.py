@@ -1,6 +1,7 @@
 """jaxplan: sampling-based online planning for drone interception.
 
-Names are imported when they are first used, so ``import jaxplan`` is instant and changes no setting of JAX.
+These are the public names. They are imported when they are first used, so ``import jaxplan`` is instant and changes no
+setting of JAX; ``__init__.pyi`` tells type checkers and editors the same list.
 """
 
 import importlib
@@ -8,11 +9,11 @@ from typing import Any
 
 _HOMES = {
     "jaxplan.config": ("InterceptConfig",),
-    "jaxplan.errors": ("FileError", "InputError", "JaxplanError", "ResourceError"),
+    "jaxplan.errors": ("FileError", "InputError", "JaxplanError"),
     "jaxplan.feasibility.checkpoint": ("load_classifier",),
-    "jaxplan.interception": ("Episode", "run"),
+    "jaxplan.feasibility.classifier": ("Classifier",),
+    "jaxplan.interception": ("run",),
     "jaxplan.io.targets": ("load_target",),
-    "jaxplan.metrics": ("episode_metrics",),
     "jaxplan.minsnap.time_allocation": ("time_allocation",),
     "jaxplan.minsnap.many": ("minimum_snap_batch",),
     "jaxplan.minsnap.single": ("minimum_snap",),
@@ -21,19 +22,19 @@ _HOMES = {
     "jaxplan.policy.constant_speed": ("constant_speed_policy",),
     "jaxplan.prediction.candidates": ("Candidates", "candidates_from"),
     "jaxplan.prediction.predictors": ("PredictionConfig", "build_predictor"),
-    "jaxplan.replanner": ("Replanner", "ReplannerConfig"),
+    "jaxplan.prediction.stream": ("ObservationStream",),
+    "jaxplan.replanner": ("Replanner",),
     "jaxplan.spline": ("FlatState", "PiecewisePolynomial", "hover"),
-    "jaxplan.status": ("Note", "PlanStatus", "Reason"),
-    "jaxplan.tracking.rollout": ("build_plant",),
-    "jaxplan.tracking.result": ("TrackingResult",),
-    "jaxplan.tracking.track": ("track",),
+    "jaxplan.status": ("PlanStatus", "Reason"),
+    "jaxplan.tracking.track": ("TrackConfig", "track"),
     "jaxplan.vehicle.mjcf": ("load_vehicle",),
     "jaxplan.vehicle.flatness": ("differential_flatness",),
+    "jaxplan.vehicle.limits": ("rotor_limit_margin",),
     "jaxplan.vehicle.params": ("Vehicle",),
-    "jaxplan.viz.episode": ("draw_episode",),
     "jaxplan.world.clearance": ("clearance",),
     "jaxplan.world.obstacles": ("World",),
     "jaxplan.world.load": ("load_world",),
+    "jaxplan.world.update": ("update_world", "with_spare_boxes"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

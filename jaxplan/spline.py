@@ -60,6 +60,13 @@ class FlatState:
         """Snap [m/s^4]."""
         return self.derivatives[..., 4, :]
 
+    def repeated(self, width: int) -> "FlatStateBatch":
+        """This state, one without batch axes, for each of ``width`` candidates."""
+        derivatives, yaw = (
+            jnp.broadcast_to(leaf[..., None], (*leaf.shape, width)) for leaf in (self.derivatives, self.yaw)
+        )
+        return FlatStateBatch(derivatives=derivatives, yaw=yaw)
+
 
 @record
 class FlatStateBatch:
@@ -101,14 +108,6 @@ class FlatStateBatch:
     def at(self, *index: int) -> FlatState:
         """One of the states, by its index along each batch axis."""
         return FlatState(derivatives=self.derivatives[(..., *index)], yaw=self.yaw[(..., *index)])
-
-
-def repeated(state: FlatState, width: int) -> FlatStateBatch:
-    """One state for each of ``width`` candidates."""
-    derivatives, yaw = (
-        jnp.broadcast_to(leaf[..., None], (*leaf.shape, width)) for leaf in (state.derivatives, state.yaw)
-    )
-    return FlatStateBatch(derivatives=derivatives, yaw=yaw)
 
 
 def hover(pos: Float[np.ndarray, "3"], yaw: float = 0.0) -> FlatState:

@@ -11,7 +11,7 @@ from jaxplan.minsnap import hermite
 from jaxplan.minsnap.single import POSITION_ORDER, YAW_ORDER, interpolate
 from jaxplan.numerics import wrap_angle
 from jaxplan.records import record
-from jaxplan.spline import FlatState, FlatStateBatch, PiecewisePolynomial, repeated
+from jaxplan.spline import FlatState, FlatStateBatch, PiecewisePolynomial
 
 SLOWEST_HEADING = 0.2
 """Horizontal speed [m/s] below which a velocity has no heading to follow (arbitrary)."""
@@ -91,7 +91,7 @@ def fit(
     The first waypoint is the state's own position. Yaw follows the path's heading at the waypoints, held
     where the vehicle is slow, and turns by at most ``max_yaw_rate`` [rad/s] on average over a segment.
     """
-    return fit_each(repeated(state, waypoints.shape[-1]), waypoints, durations, max_yaw_rate)
+    return fit_each(state.repeated(waypoints.shape[-1]), waypoints, durations, max_yaw_rate)
 
 
 def fit_each(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import PPoly
 
-from jaxplan.spline import FlatState, FlatStateBatch, PiecewisePolynomial, hover, repeated
+from jaxplan.spline import FlatState, FlatStateBatch, PiecewisePolynomial, hover
 
 
 @pytest.fixture
@@ -76,7 +76,7 @@ def test_a_state_of_a_batch_is_the_state() -> None:
     """Batch axes last: the properties and ``at`` index the right axes, and one state can be repeated."""
     rng = np.random.default_rng(0)
     one = FlatState(derivatives=rng.normal(size=(5, 3)), yaw=rng.normal(size=3))
-    batch = repeated(one, 4)
+    batch = one.repeated(4)
     assert batch.derivatives.shape == (5, 3, 4)
     for name in ("pos", "vel", "acc", "jerk", "snap"):
         np.testing.assert_array_equal(getattr(batch, name)[:, 2], getattr(one, name).astype(batch.pos.dtype))
