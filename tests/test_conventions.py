@@ -1,0 +1,117 @@
+"""How long a file may be, what may not be written, and what annotations may not say: docs/decisions/0002-layout.md.
+
+Each rule is one test that lists all offenders.
+"""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from sources import Source, everything, offenders, read, sources
+
+BANNED_MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "shelve", "marshal", "yaml"}
+BANNED_CALLS = {"eval", "exec", "os.system", "yaml.load"}
+BANNED_ARGUMENTS = {"allow_pickle", "shell"}
+
+MAX_FILE_LINES = 350
+MAX_FUNCTION_LINES = 80
+"""Most functions stay below 40; this is the very most."""
+
+
+def test_files_and_functions_are_small() -> None:
+    wrong = []
+    for source in everything():
+        lines = len(source.text.splitlines())
+        if lines > MAX_FILE_LINES:
+            wrong.append((source, f"{lines} lines"))
+        for node in ast.walk(source.tree):
+            if isinstance(node, ast.FunctionDef):
+                lines = (node.end_lineno or 0) - node.lineno + 1
+                if lines > MAX_FUNCTION_LINES:
+                    wrong.append((source, f"{node.name} has {lines} lines"))
+    assert offenders(wrong) == []
+
+
+def banned(source: Source) -> Iterator[str]:
+    """What a file does that nothing here may do: run data as code, or hide an error."""
+    for item in source.imports():
+        if item.module.split(".")[0] in BANNED_MODULES:
+            yield f"line {item.line}: import {item.module}"
+    for node in ast.walk(source.tree):
+        if isinstance(node, ast.ExceptHandler) and node.type is None:
+            yield f"line {node.lineno}: bare except"
+        if isinstance(node, ast.Call):
+            if ast.unparse(node.func) in BANNED_CALLS:
+                yield f"line {node.lineno}: {ast.unparse(node.func)}("
+            for argument in node.keywords:
+                false = isinstance(argument.value, ast.Constant) and argument.value.value is False
+                if argument.arg in BANNED_ARGUMENTS and not false:
+                    yield f"line {node.lineno}: {argument.arg}={ast.unparse(argument.value)}"
+
+
+def test_nothing_banned_is_written() -> None:
+    assert offenders((source, text) for source in everything() for text in banned(source)) == []
+
+
+def test_import_has_no_side_effects() -> None:
+    """No flags, environment, files or output at import: no such call outside a function or a class."""
+    forbidden = re.compile(r"config\.update|environ|^print$|^open$|read_text|np\.load|filterwarnings|\.use$")
+    wrong = []
+    for source in sources("jaxplan"):
+        top = [node for node in source.tree.body if not isinstance(node, ast.FunctionDef | ast.ClassDef | ast.If)]
+        calls = [ast.unparse(node.func) for part in top for node in ast.walk(part) if isinstance(node, ast.Call)]
+        wrong += [(source, call) for call in calls if forbidden.search(call)]
+    assert offenders(wrong) == []
+
+
+def loose_callables(source: Source) -> Iterator[str]:
+    """``Callable[..., X]`` as the type of a field: what it is called with is a Protocol's to say."""
+    for node in ast.walk(source.tree):
+        if isinstance(node, ast.ClassDef):
+            for field in node.body:
+                if isinstance(field, ast.AnnAssign) and "Callable[..." in ast.unparse(field.annotation):
+                    yield f"line {field.lineno}: {node.name}.{ast.unparse(field.target)}"
+
+
+def test_fields_that_are_called_say_with_what() -> None:
+    assert offenders((source, text) for source in sources("jaxplan") for text in loose_callables(source)) == []
+
+
+def symbolic_arguments(source: Source) -> Iterator[str]:
+    """Shapes such as ``m+1`` on arguments, which are read before ``m`` is known."""
+    for node in ast.walk(source.tree):
+        if isinstance(node, ast.FunctionDef):
+            given = node.args
+            for argument in (*given.posonlyargs, *given.args, *given.kwonlyargs):
+                if argument.annotation is not None and re.search(
+                    r"\"[^\"]*\w[+*/-]\d[^\"]*\"|'[^']*\w[+*/-]\d[^']*'", ast.unparse(argument.annotation)
+                ):
+                    yield f"line {argument.lineno}: {node.name}({argument.arg})"
+
+
+def test_shapes_of_arguments_have_plain_names() -> None:
+    assert offenders((source, text) for source in sources("jaxplan") for text in symbolic_arguments(source)) == []
+
+
+def written(folder: Path, text: str) -> Source:
+    (folder / "bad.py").write_text(text)
+    return read(folder / "bad.py", folder)
+
+
+def test_the_bans_themselves(tmp_path: Path) -> None:
+    text = (
+        "import pickle\nimport yaml\neval('1')\nnp.load(f, allow_pickle=True)\n"
+        "run(c, shell=True)\ntry:\n    pass\nexcept:\n    pass\nnp.load(f, allow_pickle=False)\n"
+    )
+    assert len(list(banned(written(tmp_path, text)))) == 6
+
+
+def test_the_rules_of_types_themselves(tmp_path: Path) -> None:
+    text = (
+        "class A:\n    call: Callable[..., int]\n    fine: Callable[[int], int]\n"
+        "def f(x: Float[Array, 'm+1 3'], y: Float[Array, 'm 3']) -> Float[Array, 'm+1']: ...\n"
+    )
+    source = written(tmp_path, text)
+    assert list(loose_callables(source)) == ["line 2: A.call"]
+    assert list(symbolic_arguments(source)) == ["line 4: f(x)"]
