@@ -22,7 +22,8 @@ from jaxplan.tracking.result import Flaw
 from jaxplan.tracking.track import LONGEST_FLIGHT, TrackConfig, track
 from jaxplan.vehicle.limits import Feasibility, rotor_limit_margin
 from jaxplan.vehicle.limits import feasibility as rotor_verdict
-from jaxplan.vehicle.params import Vehicle, load_vehicle
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import Vehicle
 
 Fidelity = Literal["rotor-limits", "rollout"]
 

@@ -29,7 +29,8 @@ from jaxplan.tracking.references import Splines, as_sequence, duration_of_each, 
 from jaxplan.tracking.result import TRAINING, Flaw, Thresholds, TrackingResult
 from jaxplan.tracking.rollout import CONTROL_RATE, ControllerName, FlightLog, build_plant
 from jaxplan.vehicle.fingerprint import fingerprint
-from jaxplan.vehicle.params import Vehicle, load_vehicle
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import Vehicle
 
 WIDTH = 128
 """Lanes that advance together (measured: throughput grows by a tenth beyond)."""

@@ -10,7 +10,7 @@ from jaxplan.tracking.fidelity import build_labeller
 from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, build_plant
 from jaxplan.tracking.track import track
 from jaxplan.vehicle.limits import rotor_limit_margin
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 from oracles import plant_references
 
 TIMES = np.arange(6 * CONTROL_RATE + 1) / CONTROL_RATE

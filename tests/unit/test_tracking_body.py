@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 from jaxplan.precision import float32_island
 from jaxplan.records import replace
 from jaxplan.tracking.model import Body, Motion, complete_body, vehicle_body
-from jaxplan.vehicle.params import Vehicle, load_vehicle
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import Vehicle
 from oracles.layouts import LAYOUTS
 from tolerances import tolerance
 

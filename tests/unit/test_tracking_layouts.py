@@ -7,7 +7,8 @@ import pytest
 from jaxplan.records import replace
 from jaxplan.spline import FlatState, hover
 from jaxplan.tracking.rollout import CONTROL_RATE, ControllerName, build_plant
-from jaxplan.vehicle.params import hover_speeds, load_vehicle
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import hover_speeds
 from oracles import plant_references
 from oracles.layouts import LAYOUTS
 

@@ -10,7 +10,8 @@ from jaxplan.records import replace
 from jaxplan.tracking.filters import FilterState
 from jaxplan.tracking.model import Integrator, complete_body, vehicle_body, vehicle_mjcf
 from jaxplan.tracking.plant import DT, Noise, PlantState, physics_step
-from jaxplan.vehicle.params import Vehicle, load_vehicle
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import Vehicle
 from oracles import plant_c_mujoco
 
 STEPS = 800

@@ -16,7 +16,7 @@ from jaxplan.tracking.references import duration_of_each, padded, references_at
 from jaxplan.tracking.result import SUCCESS, TRAINING, Flaw, Thresholds, TrackingResult
 from jaxplan.tracking.rollout import CONTROL_RATE, build_plant
 from jaxplan.tracking.track import FLIGHTS_AT_ONCE, TrackConfig, track
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 
 
 def random_spline(rng: np.random.Generator, speed: float) -> PiecewisePolynomial:
