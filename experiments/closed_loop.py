@@ -18,7 +18,7 @@ from jaxplan.prediction.predictors import StepPredictor, build_predictor
 from jaxplan.prediction.target_model import shipped_model
 from jaxplan.replanner import Replanner
 from jaxplan.tracking.rollout import Plant, build_plant
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import ENVIRONMENTS
 
 from .guidance import LAWS, Guidance

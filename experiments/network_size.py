@@ -34,7 +34,7 @@ from jaxplan.training.dataset import (
 from jaxplan.training.examples import lanes_of, load_examples
 from jaxplan.training.imitation import ImitationConfig
 from jaxplan.training.pretrain import PretrainConfig, pretrain
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 
 from .figures.network_size import draw_network_size
 

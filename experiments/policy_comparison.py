@@ -30,7 +30,7 @@ from jaxplan.training.dataset import DatasetConfig, build_flights, build_labels,
 from jaxplan.training.evaluate import policy_durations
 from jaxplan.training.scores import area_under_curve
 from jaxplan.training.sequences import take
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 
 from .figures.policy_comparison import draw_policy_comparison
 

@@ -102,13 +102,18 @@ def in_parts(function: Callable[[Any], T], arrays: Any, lanes: int) -> T:
 Lanes = Int[np.ndarray, "n"]
 
 
-def in_portions(program: Callable[[Lanes], Any], lanes: Lanes, width: int) -> Any:
+def in_portions(program: Callable[[Lanes], Any], lanes: Lanes, width: int, threads: int = 1) -> Any:
     """What ``program`` gives for at least one lane, called with ``width`` of them at a time, as NumPy arrays.
 
-    The last call is filled up by repeating a lane; leaves have the batch last.
+    The last call is filled up by repeating a lane; leaves have the batch last. At most ``threads`` calls run at once;
+    JAX's settings that belong to a thread (64-bit types among them) hold in the calling one alone.
     """
     cuts = [lanes[begin : begin + width] for begin in range(0, len(lanes), width)]
-    return join([(program(fill(some, width)), len(some)) for some in cuts])
+    if threads == 1 or len(cuts) == 1:
+        return join([(program(fill(some, width)), len(some)) for some in cuts])
+    with ThreadPoolExecutor(min(threads, len(cuts))) as pool:
+        parts = pool.map(lambda some: program(fill(some, width)), cuts)
+        return join([(part, len(some)) for part, some in zip(parts, cuts, strict=True)])
 
 
 def fill(lanes: Lanes, width: int) -> Lanes:

@@ -28,7 +28,8 @@ from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.search.start_place import reachable_place
 from jaxplan.spline import FlatState, hover
 from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, Plant, build_plant
-from jaxplan.vehicle.params import Vehicle, load_vehicle
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.clearance import clearance, wall_clearance
 from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import World

@@ -91,7 +91,7 @@ def _make(
     from jaxplan.training.evaluate import score_classifier, score_policy
     from jaxplan.training.examples import load_examples
     from jaxplan.training.mfrl import reinforce
-    from jaxplan.vehicle.params import load_vehicle
+    from jaxplan.vehicle.load import load_vehicle
 
     made = read_config(data)
     network, parameters = load_parameters(start)

@@ -43,7 +43,8 @@ from jaxplan.training.sequences import (
     take,
 )
 from jaxplan.training.worlds import random_world
-from jaxplan.vehicle.params import Vehicle, load_vehicle
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import Vehicle
 
 LANES = 512
 """Sequences that are labelled together."""

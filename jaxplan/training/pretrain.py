@@ -26,7 +26,8 @@ from jaxplan.training.dataset import read_config
 from jaxplan.training.examples import Examples, batches, lanes_of, load_examples
 from jaxplan.training.imitation import ImitationConfig, imitation_loss
 from jaxplan.training.runs import claim, write_whole
-from jaxplan.vehicle.params import Vehicle, load_vehicle
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import Vehicle
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,7 +17,7 @@ from jaxplan.records import replace
 from jaxplan.replanner import Replanner
 from jaxplan.spline import FlatState, hover
 from jaxplan.status import PlanStatus, Reason
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.clearance import clearance, wall_clearance
 from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import Boxes, make_obstacles

@@ -23,7 +23,7 @@ from jaxplan.training.labels import LabelConfig
 from jaxplan.training.mfrl import MfrlConfig, reinforce
 from jaxplan.training.pretrain import PretrainConfig, start_training
 from jaxplan.training.reinforce import ReinforceConfig, build_climb, rewards, start_learning
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 
 NETWORK = NetworkConfig(hidden=8, attention=4, latent=2)
 

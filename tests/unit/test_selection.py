@@ -11,7 +11,7 @@ from jaxplan.selection import CheckConfig, check, select
 from jaxplan.spline import hover
 from jaxplan.status import Reason
 from jaxplan.vehicle.flatness import differential_flatness
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.clearance import clearance, wall_clearance
 from jaxplan.world.obstacles import World, aligned_boxes, make_obstacles
 

@@ -35,7 +35,7 @@ from jaxplan.training.pretrain import PretrainConfig, pretrain, start_training
 from jaxplan.training.sequences import SPEED_UP, free_queries, in_flight, join, open_room, rest_queries, take
 from jaxplan.training.worlds import SIZES, random_world
 from jaxplan.vehicle.limits import least_rotor_margin
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 
 SMALL = PretrainConfig(
     network=NetworkConfig(hidden=8, attention=4, latent=2),
