@@ -76,6 +76,11 @@ def wall_clearance(world: World, points: Float[Array, "*batch 3"]) -> Float[Arra
     return jnp.minimum(points - lower, upper - points).min(axis=-1)
 
 
+def free_distance(world: World, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
+    """Signed distance [m] to the nearest obstacle or face of the room; negative inside or outside; NaN for NaN."""
+    return jnp.minimum(clearance(world, points), wall_clearance(world, points))
+
+
 @jax.custom_jvp
 def _to_primitives(kinds: tuple, p: _Points) -> Array:
     """Signed distance to the nearest primitive; inf where there is none."""
