@@ -12,7 +12,7 @@ from jaxplan.spline import hover
 from jaxplan.status import Reason
 from jaxplan.vehicle.flatness import differential_flatness
 from jaxplan.vehicle.params import load_vehicle
-from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.world.clearance import free_distance
 from jaxplan.world.obstacles import World, aligned_boxes, make_obstacles
 
 LANES = 24
@@ -55,7 +55,7 @@ def test_clearance_is_a_lower_bound_and_a_close_one(room, batch):
         spline, times = dense(splines, lane)
         with jax.enable_x64(True):
             points = spline.evaluate(times)[:, :3]
-            true = float(jnp.min(jnp.minimum(clearance(room, points), wall_clearance(room, points))))
+            true = float(jnp.min(free_distance(room, points)))
         assert float(margins.clearance[lane]) <= true + 1e-9
         speed = np.linalg.norm(spline.evaluate(times, 1)[:, :3], axis=1).max()
         half_piece = 0.5 * speed * float(spline.durations.max()) / CheckConfig().samples_per_segment
