@@ -10,7 +10,6 @@ from jaxplan.search.kernels.paths import write_paths
 from jaxplan.search.lattice import Lattices, Paths, choose_level, level_graph
 from jaxplan.search.request import Request, finish, mark_finer, open_request
 from jaxplan.world.obstacles import World
-from jaxplan.world.occupancy import exact_clearance
 
 
 @in_float64
@@ -38,15 +37,6 @@ def find_paths(
         expanded += _search_level(lattices, level, request)
     mark_finer(lattices, first, request.paths)
     return finish(request.paths, expanded)
-
-
-def warmup(lattices: Lattices, world: World, capacity: int = 256) -> None:
-    """Compile everything that ``find_paths`` may call for this world."""
-    astar.warmup()
-    middle = np.asarray(world.bounds).mean(axis=0)
-    exact_clearance(world.obstacles, middle[None])
-    for distance in (0.0, np.inf):
-        find_paths(lattices, world, middle, middle[None], distance, capacity)
 
 
 def _search_level(lattices: Lattices, level: int, request: Request) -> int:

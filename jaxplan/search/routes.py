@@ -59,11 +59,11 @@ def find_routes(
 
 
 def warmup(lattices: Lattices, world: World, capacity: int = 32) -> None:
-    """Compile everything that ``find_routes`` may call for this world."""
+    """Compile everything that ``find_routes`` may call for this world, the search too where all is in sight."""
     middle = np.asarray(world.bounds).mean(axis=0)
+    astar.warmup()
     exact_clearance(world.obstacles, middle[None])
-    for distance in (0.0, np.inf):
-        find_routes(lattices, world, middle, middle[None], distance, capacity)
+    find_routes(lattices, world, middle, middle[None], 0.0, capacity)
 
 
 def _attempts(lattices: Lattices, first: int, cut_short: set[int]) -> Iterator[tuple[int, int]]:

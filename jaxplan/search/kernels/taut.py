@@ -16,23 +16,6 @@ from jaxplan.search.kernels.compiled import entry_point, inner, source_digest
 from jaxplan.search.kernels.graph import IF_SEEN, NO_ENTRY, Frame, Graph
 from jaxplan.search.kernels.line_of_sight import sees
 from jaxplan.search.kernels.paths import Found
-from jaxplan.search.lattice import Lattices, Paths, grid_frame
-
-
-def shorten(paths: Paths, lattices: Lattices) -> Paths:
-    """The same paths with as few corners as sight allows; ends stay exact, ``length`` is that of the lattice path."""
-    grid = lattices.levels[0].grid
-    points, count = paths.points.copy(), paths.count.copy()
-    _compiled_shorten()(points, count, grid.occupied, tuple(grid_frame(grid)))
-    return Paths(
-        points=points,
-        count=count,
-        reasons=paths.reasons,
-        notes=paths.notes,
-        resolution=paths.resolution,
-        length=paths.length,
-        expanded=paths.expanded,
-    )
 
 
 def write_straight(
@@ -70,24 +53,6 @@ def write_taut(
     path = np.empty((len(head) + int(np.diff(found.first).max(initial=0)) + 1, 3))
     parts = found.cells, found.first, found.entry
     _compiled_taut()(*frames, *parts, occupied, head, path, goals, points, count, length)
-
-
-@functools.cache
-def _compiled_shorten() -> Callable[..., None]:
-    version = source_digest()
-
-    @entry_point
-    def entry(points, count, occupied, frame):  # type: ignore[no-untyped-def]
-        _ = version
-        frame = Frame(*frame)
-        for k in range(points.shape[0]):
-            if count[k] > 1:
-                kept = _pull_taut(points[k], count[k], occupied, frame)
-                for i in range(kept, points.shape[1]):
-                    _copy(points[k], i, points[k], kept - 1)
-                count[k] = kept
-
-    return entry  # type: ignore[no-any-return]
 
 
 @functools.cache
