@@ -51,7 +51,6 @@ OWNERS = {
     "mujoco": (
         "jaxplan/tracking/",
         "benchmarks/",
-        "jaxplan/world/load.py",
         "jaxplan/world/formats/mjcf.py",
         "jaxplan/vehicle/mjcf.py",
     ),

@@ -17,6 +17,14 @@ _BLOCK = 2**20
 """Bytes per block of a table; arbitrary."""
 
 
+def file_size(path: Path) -> int:
+    """Bytes of a regular file; ``FileError`` for anything else."""
+    if not path.is_file():
+        have = "no such file" if not path.exists() else "something that is not a file"
+        raise FileError(f"{path}: {have}, want a readable map; check the path")
+    return path.stat().st_size
+
+
 def remaining(stream: IO[bytes]) -> int:
     """Bytes from here to the end of the file."""
     here = stream.tell()

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from jaxplan.errors import FileError
 from jaxplan.world.formats.ply import open_ply, ply_points, ply_surface
-from jaxplan.world.formats.points import check_count, point_world
+from jaxplan.world.formats.point_clouds import check_count, point_world
 from jaxplan.world.formats.streams import lines, remaining
 from jaxplan.world.mesh import MAX_FACES, mesh_world
 from jaxplan.world.obstacles import World

@@ -11,7 +11,7 @@ from typing import IO
 import numpy as np
 
 from jaxplan.errors import FileError
-from jaxplan.world.formats.npy import array_blocks, array_header
+from jaxplan.world.formats.numpy_arrays import array_blocks, array_header
 from jaxplan.world.obstacles import World
 from jaxplan.world.voxels import check_cells, voxel_world
 
@@ -20,7 +20,7 @@ _SMALL = 2**16
 """Bytes at most for origin and resolution, and for the archive's directory; arbitrary."""
 
 
-def load_npz_grid(path: Path, stream: IO[bytes]) -> World:
+def load_occupancy_grid(path: Path, stream: IO[bytes]) -> World:
     """The world of an ``.npz`` grid."""
     try:
         _check_directory(stream)

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxplan.errors import FileError
-from jaxplan.world.formats.npy import array_blocks, array_header
+from jaxplan.world.formats.numpy_arrays import array_blocks, array_header
 from jaxplan.world.formats.streams import lines, remaining, table_blocks
 from jaxplan.world.obstacles import World
 from jaxplan.world.voxels import MAX_CELLS, SPACING, check_cells, voxel_world

@@ -21,7 +21,7 @@ MAX_BLOCKS = 10_000
 _SCHEMA = '{"bounds": {"extents": [x0, x1, y0, y1, z0, z1]}, "blocks": [{"extents": [...]}, ...]}'
 
 
-def load_box_json(path: Path, stream: IO[bytes]) -> World:
+def load_boxes(path: Path, stream: IO[bytes]) -> World:
     """The world of a rotorpy JSON file."""
     tree = _parse(path, stream.read())
     if not isinstance(tree, dict) or "bounds" not in tree or not isinstance(tree.get("blocks", []), list):
