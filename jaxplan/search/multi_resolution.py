@@ -1,7 +1,9 @@
 """Paths that are optimal on their lattice, whatever they cost (host, compiled): the reference for ``find_routes``."""
 
+from typing import Annotated
+
 import numpy as np
-from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from jaxplan.precision import in_float64
 from jaxplan.search.kernels import astar
@@ -16,8 +18,8 @@ from jaxplan.world.obstacles import World
 def find_paths(
     lattices: Lattices,
     world: World,
-    start: Float[np.ndarray, "3"],
-    goals: Float[np.ndarray, "k 3"],
+    start: Annotated[ArrayLike, "3"],
+    goals: Annotated[ArrayLike, "k 3"],
     target_distance: float,
     capacity: int = 256,
 ) -> Paths:
@@ -27,7 +29,7 @@ def find_paths(
     keep-in box or closer to an obstacle than the padding has NO_PATH, as has every goal if the start sees no free cell.
     """
     request = open_request(lattices, world, start, goals, capacity)
-    if request.head is None:
+    if not len(request.head):
         return request.paths
     expanded = 0
     first = choose_level(lattices, target_distance, world.diagonal)

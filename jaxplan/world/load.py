@@ -2,7 +2,7 @@
 
 from importlib import resources
 from pathlib import Path
-from typing import IO, Protocol
+from typing import Protocol, runtime_checkable
 
 from jaxplan.errors import FileError, InputError
 from jaxplan.world.formats.boxes import load_boxes
@@ -11,7 +11,7 @@ from jaxplan.world.formats.mjcf import load_mjcf, load_own_mjcf
 from jaxplan.world.formats.occupancy_grids import load_occupancy_grid
 from jaxplan.world.formats.octomap import load_octomap
 from jaxplan.world.formats.point_clouds import load_npy, load_pcd
-from jaxplan.world.formats.streams import file_size
+from jaxplan.world.formats.streams import ByteStream, file_size
 from jaxplan.world.obstacles import World
 
 ENVIRONMENTS = ("env1", "env2", "env3")
@@ -23,10 +23,11 @@ _MAX_BYTES |= dict.fromkeys((".stl", ".obj", ".ply", ".pcd", ".npy", ".npz"), 12
 an object of many."""
 
 
+@runtime_checkable
 class Reader(Protocol):
     """What takes a file of one kind."""
 
-    def __call__(self, path: Path, stream: IO[bytes]) -> World:
+    def __call__(self, path: Path, stream: ByteStream) -> World:
         """The world in ``stream``, the bytes of the file at ``path``; ``FileError`` for what cannot be used."""
 
 

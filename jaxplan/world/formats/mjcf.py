@@ -1,5 +1,4 @@
-"""Scenes in MuJoCo's MJCF, which are the single source of a world: simulation, occupancy, clearance and pictures read
-the same file.
+"""Scenes in MuJoCo's MJCF: one source of a world for simulation, occupancy, clearance and pictures.
 
 Besides geoms a file holds a box site "room" (the room's faces), optionally a site "start" and a custom numeric
 "keep_in" [m]. Geoms with contype = conaffinity = 0 collide with nothing: they are decoration, and no obstacles.
@@ -10,7 +9,7 @@ through, in a bounded number and depth.
 """
 
 from pathlib import Path
-from typing import IO, NamedTuple, NoReturn
+from typing import NamedTuple, NoReturn
 from xml.parsers import expat
 
 import mujoco
@@ -19,7 +18,7 @@ from jaxtyping import Float, Int
 
 from jaxplan.errors import FileError, InputError
 from jaxplan.mjcf_probe import probe_mjcf
-from jaxplan.world.formats.streams import file_size
+from jaxplan.world.formats.streams import ByteStream, file_size
 from jaxplan.world.mesh import check_mesh, mesh_with_distances
 from jaxplan.world.obstacles import (
     DEFAULT_KEEP_IN,
@@ -68,14 +67,14 @@ _MAX_MESH_BYTES = 16 * 2**20
 """Of all mesh files that an MJCF file names: MuJoCo wants them in memory at once."""
 
 
-def load_mjcf(path: Path, stream: IO[bytes]) -> World:
+def load_mjcf(path: Path, stream: ByteStream) -> World:
     """The world of somebody's MJCF file, which a child process with limits compiles first."""
     scene = check_mjcf(path, stream.read())
     probe_mjcf(path, scene.text, scene.meshes)
     return _world(path, scene)
 
 
-def load_own_mjcf(path: Path, stream: IO[bytes]) -> World:
+def load_own_mjcf(path: Path, stream: ByteStream) -> World:
     """The world of an MJCF file of this package, which needs no child process."""
     return _world(path, check_mjcf(path, stream.read()))
 
