@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from jaxplan.batching import in_portions
 from jaxplan.compilation import compilations
@@ -20,7 +20,7 @@ from jaxplan.policy.checkpoint import load_policy
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.precision import in_float64
 from jaxplan.prediction.observations import Observations
-from jaxplan.prediction.predictors import PredictionConfig, StepPredictor, build_predictor
+from jaxplan.prediction.predictors import PredictionConfig, StepPredictor, build_predictor, default_spacing
 from jaxplan.prediction.stream import ObservationStream, StreamConfig
 from jaxplan.prediction.target_model import load_model, shipped_model
 from jaxplan.replanner import CommittedPlan, Cycle, Replanner, ReplannerConfig
@@ -30,7 +30,7 @@ from jaxplan.spline import FlatState, hover
 from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, Plant, build_plant
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.params import Vehicle
-from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.world.clearance import free_distance
 from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import World
 
@@ -42,9 +42,6 @@ YAW_ERROR_LIMIT = np.deg2rad(45.0)
 
 POINTS_AT_ONCE = 1024
 """Points whose distance to the world is computed in one call (arbitrary)."""
-
-LARGE_ROOM = 20.0
-"""Room diagonal [m] from which predictions are 0.2 s apart instead of 0.1 s (paper, Sec. IV)."""
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share of the longest possible episode that is over."""
@@ -165,7 +162,7 @@ def prepare(config: InterceptConfig, *, exhaustive: bool = False, planner: Plann
 
 def prediction_config(world: World) -> PredictionConfig:
     """How far and how densely targets are predicted in a room of this size (paper, Sec. IV)."""
-    return PredictionConfig(dt=0.1 if world.diagonal < LARGE_ROOM else 0.2)
+    return PredictionConfig(dt=default_spacing(world))
 
 
 def predictor_for(config: InterceptConfig, world: World, target: Target) -> StepPredictor:
@@ -268,9 +265,7 @@ def _distance_function(world: World) -> Callable[[Float[np.ndarray, "n 3"]], Flo
     return on_host
 
 
-@jax.jit
-def _distance(world: World, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
-    return jax.numpy.minimum(clearance(world, points), wall_clearance(world, points))
+_distance = jax.jit(free_distance)
 
 
 def _check_target(target: Target, world: World, distance: Callable) -> None:

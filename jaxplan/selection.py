@@ -16,7 +16,7 @@ from jaxplan.status import Reason, bit
 from jaxplan.validation import require_at_least, require_positive, require_within
 from jaxplan.vehicle.limits import least_rotor_margin
 from jaxplan.vehicle.params import Vehicle
-from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.world.clearance import free_distance
 from jaxplan.world.obstacles import World
 
 
@@ -148,7 +148,7 @@ def _clearance_bound(
     acceleration on the segment; distance to obstacles changes no faster than position (Lipschitz).
     """
     points = jnp.moveaxis(samples[:, :, 0], 2, -1)
-    free = jnp.minimum(clearance(world, points), wall_clearance(world, points))
+    free = free_distance(world, points)
     half = 0.5 * splines.durations / pieces
     speed = safe_norm(samples[:, :, 1], axis=2)
     reach = speed * half[:, None] + (0.5 * _acceleration_bound(splines) * half**2)[:, None]

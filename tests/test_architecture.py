@@ -44,7 +44,6 @@ OWNERS = {
     "mujoco": (
         "jaxplan/tracking/",
         "benchmarks/",
-        "jaxplan/world/load.py",
         "jaxplan/world/formats/mjcf.py",
         "jaxplan/vehicle/mjcf.py",
     ),

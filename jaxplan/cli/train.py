@@ -25,8 +25,6 @@ _HELD_OUT = 0.2
 """Held-out windows, as a share of those that are fitted."""
 _SCORED = 1000
 """Held-out windows on which the errors of the card are measured."""
-LARGE_ROOM = 20.0
-"""Room diagonal [m] from which predictions are 0.2 s apart instead of 0.1 s (paper, Sec. IV)."""
 
 
 @train.command
@@ -71,6 +69,7 @@ def gmm(
 
     from jaxplan.errors import InputError
     from jaxplan.prediction.gmm import FitConfig, fit_mixture
+    from jaxplan.prediction.predictors import SPACING, default_spacing
     from jaxplan.prediction.target_model import TargetModel, save_model, window_coordinates
     from jaxplan.prediction.windows import draw_windows
     from jaxplan.world.load import load_world
@@ -79,7 +78,8 @@ def gmm(
         have = f"--out {out} and --windows {windows}"
         raise InputError(f"train gmm: have {have}, want a .npy file in a folder that exists and at least 1; correct it")
     room = None if world is None else load_world(world)
-    dt = dt if dt is not None else 0.2 if room is not None and room.diagonal >= LARGE_ROOM else 0.1
+    if dt is None:
+        dt = SPACING if room is None else default_spacing(room)
     flights = flights or ("walks" if room is None else "tours")
     fit_config = FitConfig(components=components, floor=floor, seed=seed)
     source, config = _flights(flights, room, dt)

@@ -34,6 +34,12 @@ PREDICTORS = ("none", "ground-truth", "noisy", "constant-velocity", "constant-ac
 SAMPLING = ("noisy", "gmm")
 """Predictors that propose a batch of goals for every step; the others propose one."""
 
+LARGE_ROOM = 20.0
+"""Room diagonal [m] from which predictions are farther apart (paper, Sec. IV)."""
+SPACING = 0.1
+SPACING_IN_LARGE_ROOMS = 0.2
+"""Seconds between predictions (paper, Sec. IV)."""
+
 _UNUSUAL = 10.0
 """Squared Mahalanobis distance per observed coordinate above which a window is unlike all that a mixture knows."""
 _EVEN = 1e-6
@@ -46,8 +52,8 @@ class PredictionConfig:
 
     steps: int = 20
     """N_pred, intervals ahead."""
-    dt: float = 0.1
-    """Length of an interval [s]; 0.1 for rooms of 10 m, 0.2 for rooms of 30 m."""
+    dt: float = SPACING
+    """Length of an interval [s]; ``default_spacing`` for a room's."""
     batch: int = 20
     """N_batch, samples for each interval, for predictors that sample."""
     observations: int = 10
@@ -69,6 +75,11 @@ class PredictionConfig:
     def offsets(self) -> Float[np.ndarray, "steps"]:
         """Times of the predicted positions [s] from the newest observation."""
         return self.dt * np.arange(1, self.steps + 1)
+
+
+def default_spacing(world: World) -> float:
+    """Seconds between predictions in a room of this size."""
+    return SPACING if world.diagonal < LARGE_ROOM else SPACING_IN_LARGE_ROOMS
 
 
 class Predictor(Protocol):

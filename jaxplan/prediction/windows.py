@@ -11,14 +11,13 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
 from jaxplan.errors import InputError
 from jaxplan.minsnap.many import minimum_snap_batch
 from jaxplan.precision import in_float64
-from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.world import clearance
 from jaxplan.world.obstacles import World
 
 FLIGHTS = 512
@@ -263,6 +262,4 @@ _CHUNK = 16384
 """Points in one compiled call, so that nothing compiles twice."""
 
 
-@jax.jit
-def _distance(world: World, points: Float[np.ndarray, "n 3"]) -> jax.Array:
-    return jnp.minimum(clearance(world, points), wall_clearance(world, points))
+_distance = jax.jit(clearance.free_distance)

@@ -7,7 +7,7 @@ import pytest
 from jaxplan.errors import InputError
 from jaxplan.prediction.candidates import candidates_from, reject_early
 from jaxplan.prediction.observations import Observations, first_observation
-from jaxplan.prediction.predictors import PREDICTORS, PredictionConfig, build_predictor
+from jaxplan.prediction.predictors import PREDICTORS, PredictionConfig, build_predictor, default_spacing
 from jaxplan.prediction.target_model import shipped_model
 from jaxplan.records import replace
 from jaxplan.status import Note, Reason
@@ -34,6 +34,15 @@ def predict(name, observations=None, cycle=0):
 def mixture():
     """The Gaussian mixture in open space, on ten positions 0.1 s apart."""
     return build_predictor("gmm", PredictionConfig(), truth, seed=3, model=shipped_model("generic", 0.1))
+
+
+def test_spacing_follows_the_size_of_the_room():
+    """0.1 s in the room of 10 m, 0.2 s in those of 30 m, and from a diagonal of exactly 20 m on (paper, Sec. IV)."""
+    assert [default_spacing(load_world(name)) for name in ("env1", "env2", "env3")] == [0.1, 0.2, 0.2]
+    room = replace(load_world("env1"), bounds=np.array([[0.0, 0.0, 0.0], [12.0, 14.142, 2.0]]))
+    edge = replace(room, bounds=np.array([[0.0, 0.0, 0.0], [12.0, 16.0, 1e-9]]), keep_in=0.0)
+    assert edge.diagonal == 20.0
+    assert [default_spacing(room), default_spacing(edge)] == [0.1, 0.2]
 
 
 def test_none_repeats_what_was_seen_last():
