@@ -1,13 +1,14 @@
 """One run of an experiment, from its configuration to its report."""
 
+import contextlib
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxplan.errors import InputError
+from jaxplan.errors import InputError, JaxplanError
 from jaxplan.io.output import OutputFolder
 from jaxplan.runner import work
 from jaxplan.runner.cluster import run_on_cluster
@@ -50,6 +51,7 @@ def run(request: Request, progress: Progress = lambda text: None) -> Done:
     Raises:
         InputError: the configuration or the folder cannot be used.
         ResourceError: the disk, dask or a scheduler refuses; what is finished stays valid.
+        IncompleteError: items failed that the report cannot be made without; the others stay valid.
     """
     if request.workers is not None and request.workers < 0:
         raise InputError(f"--workers: have {request.workers}, want 0 or more")
@@ -63,8 +65,9 @@ def run(request: Request, progress: Progress = lambda text: None) -> Done:
             store.note_run(origin(list(request.command), experiment.artefacts(request.config)))
             _evaluate(experiment, request, config, store, missing, progress)
         results = _collect(request.config, store, shards)
-        report = experiment.report(results)
-        _publish(request, report, results, store.runs())
+        with _explained(results):
+            report = experiment.report(results)
+            _publish(request, report, results, store.runs())
     return Done(report, results.quarantined, request.out)
 
 
@@ -137,6 +140,21 @@ def _collect(config: Any, store: Store, shards: list[Shard]) -> Results:
             if outcome.row is None:
                 quarantined[item.name] = outcome.error
     return Results(config, items, rows, seconds, compiled, quarantined, preparing)
+
+
+@contextlib.contextmanager
+def _explained(results: Results[Any]) -> Iterator[None]:
+    """Where items failed, they are why their report cannot be made, whatever making it raises."""
+    try:
+        if all(row is None for row in results.rows) and results.quarantined:
+            raise results.incomplete()
+        yield
+    except JaxplanError:
+        raise
+    except Exception as error:
+        if results.quarantined:
+            raise results.incomplete() from error
+        raise
 
 
 def _publish(request: Request, report: Report, results: Results, found: list[dict[str, Any]]) -> None:

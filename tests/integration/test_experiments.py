@@ -12,16 +12,18 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import numpy as np
 import pytest
 
-from experiments import closed_loop, guidance, policy_comparison, table1, table2
+from experiments import closed_loop, guidance, policy_comparison, scale_factor, table1, table2
 from experiments.closed_loop import EpisodeConfig
 from experiments.optimiser import optimiser_policy
 from experiments.table1_report import PAPER, by_cell, report
-from jaxplan.errors import ResourceError
+from jaxplan import cli
+from jaxplan.errors import IncompleteError, ResourceError
 from jaxplan.minsnap.time_allocation import time_allocation
 from jaxplan.precision import in_float64
 from jaxplan.prediction.observations import Observations
@@ -159,6 +161,49 @@ def test_guidance_is_continuous_and_heads_for_the_target() -> None:
         apart = target + (now + 0.1) * np.array([0.0, 1.0, 0.0]) - state[0]
         assert state[1] @ apart / np.linalg.norm(apart) > 2.0, law
         assert np.linalg.norm(state[2]) <= guidance.MOST_ACCELERATION + 1e-6
+
+
+@pytest.mark.parametrize("name", experiment_names())
+def test_an_experiment_of_which_nothing_is_left_names_the_first_failure(name: str) -> None:
+    """Every stored report, where all of its items failed."""
+    found = load_experiment(name)
+    config = found.presets["smoke"]
+    items = found.items(config)
+    why = {item.name: f"NotImplementedError: number {place}" for place, item in enumerate(items)}
+    lost = Results(config, items, [None] * len(items), [0.0] * len(items), [False] * len(items), why, {})
+    with pytest.raises(IncompleteError, match="items failed.*NotImplementedError: number 0; what is finished is kept"):
+        found.report(lost)
+
+
+def test_a_run_whose_only_item_raises_ends_with_its_cause(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refused(*arguments: object, **options: object) -> None:
+        raise NotImplementedError("MJX knows no such plant")
+
+    monkeypatch.setattr(scale_factor, "at_the_boundary", refused)
+    assert cli.run(["experiment", "scale-factor", "--out", str(tmp_path), "--workers", "0"]) == 14
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "1 of 1 items failed" in said
+    assert "'flights': NotImplementedError: MJX knows no such plant" in said
+    assert (tmp_path / "shards" / "000000.json").is_file()
+
+
+def test_flights_that_were_all_lost_are_dashes(tmp_path: Path) -> None:
+    """A mean over no flights is None on the disk: a dash in the table, a gap in the picture."""
+    config, lost = scale_factor.Config(), {"position_mean_m": None, "position_std_m": None}
+    known = {"position_mean_m": 0.1, "position_std_m": 0.02}
+    shared = {"yaw_mean_deg": 2.0, "yaw_std_deg": 1.0, "feasible_share": 0.5, "lost_share": 0.5}
+    rows = [{"alpha": 0.7, **lost, **shared}, {"alpha": 1.0, **known, **shared}]
+    items = scale_factor.items(config)
+    found = scale_factor.report(Results(config, items, [{"rows": rows}], [1.0], [False], {}, {}))
+    assert "| 0.700 | - | - | 2.000 |" in found.markdown
+    found.figures["scale_factor.png"](tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").stat().st_size > 10_000
+    nobody = SimpleNamespace(
+        max_position_error=np.array([9.0, np.nan]), max_yaw_error=np.zeros(2), feasible=np.zeros(2)
+    )
+    assert scale_factor.statistics(nobody)["position_mean_m"] is None
 
 
 @pytest.mark.slow
@@ -319,3 +364,17 @@ def test_the_report_of_made_up_flights_says_how_many_rollouts_the_margins_save()
     assert "| 100 | 0.600 | 0.750 | < 100 (1.00) |" in text
     assert "| 200 | 0.800 | 0.850 | 141 (0.71) |" in text
     assert "| 400 | 0.849 | 0.840 | 199 (0.50) |" in text
+
+
+def test_the_policies_are_compared_on_what_is_left(tmp_path: Path) -> None:
+    """One shard and the whole learning curve failed: the other shard's flights are reported."""
+    config = policy_comparison.Config(policies=("mine",), labels=(100,), shards=2, repeats=1)
+    flights = {"time": [2.0, 8.0], "error": [0.1, 0.3], "tracked": [True, False]}
+    items, rows = policy_comparison.items(config), [None, {"waypoints": [3, 9], "label": flights, "mine": flights}]
+    rows += [None] * (len(items) - 2)
+    why = {item.name: "no memory" for item, row in zip(items, rows, strict=True) if row is None}
+    found = policy_comparison.report(Results(config, items, rows, [1.0] * len(rows), [False] * len(rows), why, {}))
+    assert found.table[1]["flights"] == 2
+    assert "| 100 | - | - | - |" in found.markdown
+    found.figures["policy_comparison.png"](tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").stat().st_size > 10_000
