@@ -73,7 +73,7 @@ class Results(NamedTuple, Generic[C]):
 class Draw(Protocol):
     """Draws one picture."""
 
-    def __call__(self, path: Path) -> object:
+    def __call__(self, path: Path, /) -> object:
         """Write the picture into the file ``path``."""
         ...
 

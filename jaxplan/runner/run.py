@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxplan.errors import InputError, JaxplanError
+from jaxplan.files import write_atomically
 from jaxplan.io.output import OutputFolder
 from jaxplan.runner import work
 from jaxplan.runner.cluster import run_on_cluster
@@ -17,7 +18,7 @@ from jaxplan.runner.definition import Experiment, Report, Results
 from jaxplan.runner.ledger import Ledger
 from jaxplan.runner.provenance import origin, sha256
 from jaxplan.runner.registry import load_experiment
-from jaxplan.runner.shards import Outcome, Shard, Store, cut, write_atomically
+from jaxplan.runner.shards import Outcome, Shard, Store, cut
 from jaxplan.runner.tables import as_csv, duration
 
 Progress = Callable[[str], None]
@@ -161,20 +162,16 @@ def _publish(request: Request, report: Report, results: Results, found: list[dic
     """Write report, table and pictures; ``provenance.json`` is the last and has the hashes of the others."""
     folder = request.out
     with OutputFolder(folder) as output:
-        output.write("results.csv", lambda path: _text(path, as_csv(report.table)))
-        output.write("table.tex", lambda path: _text(path, report.latex))
+        output.write("results.csv", as_csv(report.table))
+        output.write("table.tex", report.latex)
         for name, draw in report.figures.items():
-            output.write(name, lambda path, draw=draw: draw(path))  # type: ignore[misc]
-        output.write("report.md", lambda path: _text(path, _page(request, report, results, found)))
+            output.write(name, draw)
+        output.write("report.md", _page(request, report, results, found))
         output.publish()
     names = ["results.csv", "table.tex", "report.md", *report.figures]
     hashes = {name: sha256(folder / name) for name in names}
     page = {"seed": getattr(request.config, "seed", None), "runs": found, "results": hashes}
     write_atomically(folder / "provenance.json", json.dumps(page, indent=1) + "\n")
-
-
-def _text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
 
 
 def _page(request: Request, report: Report, results: Results, found: list[dict[str, Any]]) -> str:

@@ -20,6 +20,7 @@ from jaxtyping import Float
 
 from jaxplan.errors import InputError
 from jaxplan.feasibility.classifier import Model, make_classifier, new_model
+from jaxplan.files import state_configuration, write_atomically
 from jaxplan.policy.network import NetworkConfig, PolicyNetwork
 from jaxplan.precision import in_float64
 from jaxplan.training import active
@@ -27,7 +28,6 @@ from jaxplan.training.classifier import ClassifierConfig, Labelled, calibrate, t
 from jaxplan.training.examples import Examples, as_queries, batches, lanes_of
 from jaxplan.training.labels import LabelConfig
 from jaxplan.training.reinforce import Learner, ReinforceConfig, build_climb, log_durations, start_learning
-from jaxplan.training.runs import claim, write_whole
 from jaxplan.training.scores import binary_scores
 from jaxplan.vehicle.params import Vehicle
 
@@ -94,7 +94,7 @@ def reinforce(
         examples: training sequences with their minimum-snap labels.
         parameters: the pretrained weights.
     """
-    claim(folder, config, free=("rounds",))
+    state_configuration(folder, dataclasses.asdict(config), may_differ=("rounds",))
     climb = in_float64(build_climb(network, parameters, vehicle, config.reinforce))
     durations = in_float64(jax.jit(lambda weights, some: jnp.exp(log_durations(PolicyNetwork(network), weights, some))))
     airfield = _Airfield(config, examples, vehicle, active.build_solve(vehicle, labels), durations)
@@ -110,7 +110,7 @@ def reinforce(
             earned.append(found)
         means = jax.tree.map(lambda *leaves: float(np.mean(leaves)), *earned)
         run = Run(learner, run.model, index + 1)
-        write_whole(folder / "state.msgpack", serialization.to_bytes(_savable(run)))
+        write_atomically(folder / "state.msgpack", serialization.to_bytes(_savable(run)))
         row |= {"round": index + 1, **means._asdict(), "deviation": float(np.exp(learner.log_deviation))}
         with (folder / "metrics.jsonl").open("a") as log:
             log.write(json.dumps(row) + "\n")

@@ -199,7 +199,9 @@ def test_a_folder_that_holds_something_else_is_refused(tmp_path: Path) -> None:
         runs.run(request(out))
     with pytest.raises(InputError, match="another configuration .count is 12 there and 5 here"):
         runs.run(request(out, Config(count=5), resume=True))
-    with pytest.raises(InputError, match="holds another experiment's results"):
+    with pytest.raises(
+        InputError, match=r"another configuration .experiment is 'oracles.experiment_samples' there and 'table1' here"
+    ):
         Store(out, "table1", "small", {}, resume=True)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.tex").write_text("")
