@@ -1,17 +1,26 @@
 """The reports of the stored experiments on made-up rows: what stands in them, and what remains where items failed."""
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from experiments import policy_comparison, scale_factor, table1, table2
+from experiments import closed_loop, policy_comparison, scale_factor, table1, table2
 from experiments.table1_report import PAPER, by_cell, report
 from jaxplan import cli
+from jaxplan import config as intercept
 from jaxplan.errors import IncompleteError
 from jaxplan.runner.definition import Results
 from jaxplan.runner.registry import experiment_names, load_experiment
+
+
+def test_what_the_tables_compare_is_what_an_interception_can_choose() -> None:
+    """noisy-S stands for ``noisy`` with its own deviation; beyond the command's planners there are the baselines."""
+    assert {re.sub(r"-[\d.]+$", "", name) for name in closed_loop.PREDICTORS} <= set(intercept.PREDICTORS)
+    assert (*intercept.PLANNERS, "optimiser", "pursuit", "navigation") == closed_loop.PLANNERS
+    assert closed_loop.LEARNED == ("pretrained", "mfrl")
 
 
 def test_the_report_of_made_up_rows_says_what_is_below_the_paper() -> None:
