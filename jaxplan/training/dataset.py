@@ -65,10 +65,13 @@ class DatasetConfig:
     """What is made."""
 
     shards: int = 48
-    """Of 2,560 sequences each."""
+    """How many shards, of 2,560 sequences each."""
     seed: int = 1
+    """Seed of the rooms and sequences."""
     vehicle: str = "mfrl"
+    """A preset's name or a TOML file."""
     labels: LabelConfig = LabelConfig()
+    """How the labels are searched."""
 
     def __post_init__(self) -> None:
         if self.shards < 1 or self.seed < 0:

@@ -37,6 +37,7 @@ class MfrlConfig:
     """One run."""
 
     reinforce: ReinforceConfig = ReinforceConfig()
+    """How the policy is reinforced."""
     classifier: ClassifierConfig = ClassifierConfig(steps=200, learning_rate=1e-3)
     """Steps and learning rate of every round but the first."""
     first_steps: int = 2000
@@ -44,6 +45,7 @@ class MfrlConfig:
     first_labels: int = 10_000
     """Rollouts of the first round, at random."""
     rounds: int = 50
+    """Rounds of labelling, training of the classifier, and reinforcement."""
     pool: int = 2048
     """Flights of which each round chooses what to label."""
     chosen: int = 256
@@ -59,7 +61,9 @@ class MfrlConfig:
     steps: int = 120
     """Gradient steps of the policy in each round."""
     batch: int = 256
+    """Sequences of each gradient step."""
     seed: int = 0
+    """Seed of sequences, noise and batches."""
 
     def __post_init__(self) -> None:
         for name in ("first_steps", "first_labels", "rounds", "pool", "steps", "batch", "calibration"):

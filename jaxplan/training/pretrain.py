@@ -35,17 +35,23 @@ class PretrainConfig:
     """How a policy is trained to imitate."""
 
     network: NetworkConfig = NetworkConfig()
+    """Sizes of the network."""
     steps: int = 30_000
+    """Gradient steps at most."""
     batch: int = 512
+    """Sequences of each step."""
     learning_rate: float = 3e-3
     """At its highest; warmed up and annealed by a cosine."""
     imitation: ImitationConfig = ImitationConfig()
+    """What counts how much."""
     average: float = 0.999
     """Decay of the running mean of the weights, which is what is kept."""
     evaluate_every: int = 500
+    """Gradient steps between two evaluations on held-out sequences."""
     patience: int = 12
     """Evaluations without a better score after which training ends."""
     seed: int = 0
+    """Seed of the weights and batches."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "batch", "evaluate_every", "patience"):
