@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxplan.config import PREDICTORS
 from jaxplan.errors import InputError
 from jaxplan.precision import in_float64
 from jaxplan.prediction.candidates import Candidates, candidates_from
@@ -30,7 +31,6 @@ from jaxplan.world.obstacles import World
 Trajectory = Callable[[Float[np.ndarray, "n"]], Float[np.ndarray, "n 3"]]
 """Target positions [m, world] at given times [s]."""
 
-PREDICTORS = ("none", "ground-truth", "noisy", "constant-velocity", "constant-acceleration", "gmm")
 SAMPLING = ("noisy", "gmm")
 """Predictors that propose a batch of goals for every step; the others propose one."""
 
@@ -172,9 +172,14 @@ def build_predictor(
         raise InputError(f"predictor: unknown name {name!r}, want one of {', '.join(PREDICTORS)}")
     if name == "gmm":
         return StepPredictor(config, seed, _mixture_guesser(config, model, world))
-    return StepPredictor(
-        config, seed, dict(zip(PREDICTORS[:-1], (none, ground_truth, noisy, straight, curved), strict=True))[name]
-    )
+    guessers: dict[str, Guesser] = {
+        "none": none,
+        "ground-truth": ground_truth,
+        "noisy": noisy,
+        "constant-velocity": straight,
+        "constant-acceleration": curved,
+    }
+    return StepPredictor(config, seed, guessers[name])
 
 
 def _mixture_guesser(config: PredictionConfig, model: TargetModel | None, world: World | None) -> Guesser:

@@ -199,7 +199,7 @@ def test_training_learns_and_goes_on_where_it_stopped(tmp_path, data):
         pretrain(tmp_path / "part", data, SMALL, report=stop)
     resumed, _ = pretrain(tmp_path / "part", data, SMALL, report=lambda text: None)
     jax.tree.map(np.testing.assert_array_equal, whole.parameters, resumed.parameters)
-    with pytest.raises(FileError, match="another configuration"):
+    with pytest.raises(InputError, match="another configuration"):
         pretrain(tmp_path / "part", data, dataclasses.replace(SMALL, seed=1))
 
 
