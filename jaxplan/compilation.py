@@ -14,6 +14,6 @@ def compilations() -> int:
     return _counts["compilations"]
 
 
-def _listen(event: str, duration: float, **details: object) -> None:
+def _listen(event: str, duration: float, **details: str | int) -> None:
     if event == _EVENT:
         _counts["compilations"] += 1

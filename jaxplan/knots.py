@@ -41,7 +41,7 @@ class Knots(NamedTuple):
 
     waypoints: Float[Array, "*k 14 3"]
     """[m, world]"""
-    count: Int[Array, "*k"]
+    count: Int[Array, "*k"]  # type: ignore[assignment]  # of waypoints, not tuple.count
     """Waypoints in use, 2 to 14."""
 
 

@@ -45,7 +45,7 @@ def in_float64_inside(function: Callable[..., T]) -> Callable[..., T]:
     compiled = jax.jit(function)
 
     def computed(*args: Any) -> T:
-        if jax.config.jax_enable_x64:
+        if jax.config.jax_enable_x64:  # type: ignore[attr-defined]  # set by name when JAX starts
             return _narrowed(compiled(*_cast(args, jnp.float64)), _precision(args))
         return _bordered(*args)
 

@@ -111,7 +111,7 @@ class FlatStateBatch:
 
     def at(self, *index: int) -> FlatState:
         """One of the states, by its index along each batch axis."""
-        return FlatState(derivatives=self.derivatives[(..., *index)], yaw=self.yaw[(..., *index)])
+        return FlatState(derivatives=self.derivatives[..., *index], yaw=self.yaw[..., *index])
 
 
 def hover(pos: Annotated[ArrayLike, "3"], yaw: float = 0.0) -> FlatState:
@@ -199,7 +199,7 @@ class PiecewisePolynomial:
         xp = _namespace(self.durations)
         if self.yaw is None:
             return xp.zeros((self.durations.shape[0], pieces), self.durations.dtype)
-        return abs(_hull(self.yaw[..., None], self.durations, derivative, pieces)[..., 0]).max(axis=-1)
+        return xp.abs(_hull(self.yaw[..., None], self.durations, derivative, pieces)[..., 0]).max(axis=-1)
 
     def split(self, t: float) -> tuple["PiecewisePolynomial", "PiecewisePolynomial"]:
         """The parts before and behind ``t`` [s], which must lie strictly inside (host, NumPy).

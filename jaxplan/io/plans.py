@@ -22,8 +22,8 @@ def write_plans(path: Path, plans: "Sequence[CommittedPlan]") -> None:
     np.savez_compressed(
         path,
         start_time=np.array([plan.start_time for plan in plans], dtype=float),
-        durations=_stack([plan.spline.durations for plan in plans], segments, ()),
-        position=_stack([plan.spline.position for plan in plans], segments, (10, 3)),
+        durations=_stack([np.asarray(plan.spline.durations) for plan in plans], segments, ()),
+        position=_stack([np.asarray(plan.spline.position) for plan in plans], segments, (10, 3)),
         yaw=_stack([np.asarray(plan.spline.yaw) for plan in plans], segments, (6,)),
         goal=np.array([plan.goal for plan in plans], dtype=float).reshape(-1, 3),
         arrival_time=np.array([plan.arrival_time for plan in plans], dtype=float),

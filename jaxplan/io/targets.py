@@ -97,7 +97,7 @@ def _stored(world: str, name: str, speed: float) -> Target:
     spline = target_spline(np.array(table["waypoints"]), np.array(table["durations"]))
 
     def motion(times: Float[np.ndarray, "n"], derivative: int) -> Float[np.ndarray, "n 3"]:
-        return spline.evaluate(times, derivative)[..., :3]
+        return np.asarray(spline.evaluate(times, derivative))[..., :3]
 
     return _scaled(name, float(spline.duration), motion, speed, ())
 

@@ -90,7 +90,8 @@ def _bordered(ends: Ends, present: tuple[bool, ...]) -> Callable[..., MinimumSna
 
 def _unpacked(ends: Ends, present: tuple[bool, ...], *wanted: Array) -> MinimumSnapBatch:
     values = iter(wanted)
-    return solve_batch(ends, *(next(values) if there else None for there in present))
+    arguments: list[Any] = [next(values) if there else None for there in present]
+    return solve_batch(ends, *arguments)
 
 
 @batch_last

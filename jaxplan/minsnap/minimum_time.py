@@ -59,7 +59,7 @@ def least_margin(
         return margin(FlatState(derivatives=derivatives, yaw=yaw))
 
     each = jax.vmap(jax.vmap(margin_of, in_axes=-1, out_axes=-1), in_axes=-1, out_axes=-1)
-    return jnp.min(each(states.derivatives, states.yaw), axis=0)
+    return jnp.min(each(jnp.asarray(states.derivatives), jnp.asarray(states.yaw)), axis=0)
 
 
 def shortest_alternated(

@@ -109,9 +109,9 @@ def fit_each(
 ) -> SplineBatch:
     """``fit`` from a state of its own for every lane."""
     points = waypoints.at[0].set(states.pos)
-    position, knots = interpolate(durations, points, states.derivatives[1:])
+    position, knots = interpolate(durations, points, jnp.asarray(states.derivatives[1:]))
     headings = _headings(states.yaw[0], knots[:, 0, :2], durations, max_yaw_rate)
-    yaw, _ = interpolate(durations, headings[:, None], states.yaw[1:, None])
+    yaw, _ = interpolate(durations, headings[:, None], jnp.asarray(states.yaw[1:, None]))
     return SplineBatch(durations=durations, position=position, yaw=yaw)
 
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt32
 
+from jaxplan.arrays import AnyArray
 from jaxplan.batching import in_portions, pick
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.planner.stations import Routes, Stations, Trajectories, shortened
@@ -72,7 +73,7 @@ class Parts(NamedTuple):
 
         return in_portions(ask, np.arange(len(routes.count)), self.config.width)
 
-    def check(self, state: FlatState, routes: Routes, durations: Float[Array, "m k"]) -> Trajectories:
+    def check(self, state: FlatState, routes: Routes, durations: Float[AnyArray, "m k"]) -> Trajectories:
         """Solved and checked trajectories, as many as the stations take."""
         return self.stations.clear(self.world, self.stations.solve(state, routes, durations))
 

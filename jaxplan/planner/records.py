@@ -150,8 +150,10 @@ class Update(Protocol):
 
 
 class Planner(NamedTuple):
-    """The planner's functions; after ``warmup`` none of them compiles anything, but ``in_world`` for obstacles of other
-    numbers."""
+    """The planner's functions.
+
+    After ``warmup`` none of them compiles anything, but the planner of ``in_world`` for obstacles of other numbers.
+    """
 
     plan_batch: PlanBatch
     approach: Approach

@@ -34,7 +34,7 @@ class Routes(NamedTuple):
 
     waypoints: Float[AnyArray, "n 3 k"]
     """Knots of each path [m, world]; the goal is repeated behind the last one."""
-    count: Int[AnyArray, "k"]
+    count: Int[AnyArray, "k"]  # type: ignore[assignment]  # of waypoints, not tuple.count
     """Waypoints in use."""
     samples: Float[AnyArray, "p 3 k"]
     """The paths at equal steps of arc length [m, world], for the deviation test."""
@@ -66,8 +66,10 @@ class Match(Protocol):
     """Durations that arrive at given times."""
 
     def __call__(self, state: FlatState, routes: Routes, arrival_times: Float[AnyArray, "k"]) -> Arrival:
-        """For arrival times of 0 [s] it ends after one call of the policy, which has its least durations: the same
-        program serves both."""
+        """For arrival times of 0 [s] it ends after one call of the policy, which has its least durations.
+
+        The same program serves both.
+        """
 
 
 class Solve(Protocol):
@@ -115,14 +117,16 @@ def compile_stations(
 
     @jax.jit
     def match(state: FlatState, routes: Routes, arrival_times: Float[Array, "k"]) -> Arrival:
-        context = policy.encode(routes.waypoints, routes.count)
+        context = policy.encode(jnp.asarray(routes.waypoints), jnp.asarray(routes.count))
         return match_arrival(lambda d: policy.decode(context, d), state, arrival_times, config.arrival)
 
     @jax.jit
     def solve(state: FlatState, routes: Routes, durations: Float[Array, "m k"]) -> Trajectories:
-        splines = fit(state, routes.waypoints, durations, config.max_yaw_rate)
+        splines = fit(state, jnp.asarray(routes.waypoints), durations, config.max_yaw_rate)
         probability = None if classifier is None else classifier.predict(splines, vehicle).probability
-        return Trajectories(splines, check_flight(splines, routes.samples, vehicle, config.checks, probability))
+        return Trajectories(
+            splines, check_flight(splines, jnp.asarray(routes.samples), vehicle, config.checks, probability)
+        )
 
     @jax.jit
     def clear(world: World, trajectories: Trajectories) -> Trajectories:

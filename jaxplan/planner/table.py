@@ -115,7 +115,7 @@ def knots(parts: Parts, table: Table, rows: Rows) -> Table:
     """Place waypoints along the paths of all ``rows`` that were searched."""
     assert table.paths is not None, "rows are searched first"
     routes = parts.route(table.paths, table.route[rows], np.ones(len(rows)))
-    return table.against(rows, routes.reasons)._replace(routes=routes)
+    return table.against(rows, np.asarray(routes.reasons))._replace(routes=routes)
 
 
 def bound(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
