@@ -14,6 +14,6 @@ def compilations() -> int:
     return _counts["compilations"]
 
 
-def _listen(event: str, duration: float, **details: str | int) -> None:
+def _listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
     if event == _EVENT:
         _counts["compilations"] += 1

@@ -111,7 +111,8 @@ class FlatStateBatch:
 
     def at(self, *index: int) -> FlatState:
         """One of the states, by its index along each batch axis."""
-        return FlatState(derivatives=self.derivatives[..., *index], yaw=self.yaw[..., *index])
+        place: Any = (..., *index)
+        return FlatState(derivatives=self.derivatives[place], yaw=self.yaw[place])
 
 
 def hover(pos: Annotated[ArrayLike, "3"], yaw: float = 0.0) -> FlatState:
