@@ -6,14 +6,20 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 OUT ?= out/demo
 # Two processes, a file each: nearly twice as fast on two cores.
 PYTEST_ARGS ?= -n 2 --dist loadfile
+# What runs on JAX and MJX, and the code of the docs: enough to tell whether another version of them holds.
+JAX_TESTS = $(wildcard tests/unit/test_minsnap_*.py tests/unit/test_spline*.py tests/unit/test_tracking_*.py \
+    tests/unit/test_vehicle_*.py) $(addprefix tests/unit/test_, arrival.py feasibility.py knots.py policy.py \
+    prediction_mixture.py selection.py world_clearance.py) $(addprefix tests/integration/test_, canaries.py docs.py \
+    planner.py plant_tools.py)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-slow check format bench docs clean
+.PHONY: help demo test test-jax test-slow check format bench docs clean
 
 help:
 	@echo "make demo       install, fly one interception, draw it (under 5 minutes)"
 	@echo "make test       the fast tests (PYTHON=python3.12 for another interpreter)"
+	@echo "make test-jax   those of them that touch JAX, MJX and the docs"
 	@echo "make test-slow  the slow tests"
 	@echo "make check      ruff and mypy"
 	@echo "make format     let ruff rewrite what it can"
@@ -38,6 +44,9 @@ demo: $(VENV)/.installed
 
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m "not slow and not gpu" $(PYTEST_ARGS)
+
+test-jax: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -m "not slow and not gpu" $(PYTEST_ARGS) $(JAX_TESTS)
 
 test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m "slow and not gpu" $(PYTEST_ARGS)
