@@ -102,6 +102,7 @@ def octomap_of_leaves() -> bytes:
         ("m.npz", b"", NOISE, 100, b"PK\5\6" + bytes(8) + (2**26).to_bytes(4, "little") + bytes(6), "directory"),
         ("m.bt", BT, NOISE, 15, b"", ""),
         ("m.bt", octomap_of_leaves(), b"\0", 1, b"", "leaves"),
+        ("m.bt", BT, b"\x03\0", 8, b"", "levels"),
         ("m.json", '{"bounds": 1, "blocks": [', b'{"a":[]},', 1, b"{}]}", ""),
         ("m.json", "[", b"[],", 1, b"[]]", ""),
         ("m.json", "[", b"0.5,", 1, b"1]", ""),
