@@ -100,7 +100,7 @@ def floor(policy, candidates=400, segments=13):
 
     Nearly every weight is multiplied once for every segment of every candidate; attention is left out.
     """
-    weights = sum(leaf.size for leaf in jax.tree.leaves(load_parameters(policy)[1]))
+    weights = sum(leaf.size for leaf in jax.tree.leaves(load_parameters(policy).parameters))
     side = 2048
     matrix = jax.numpy.ones((side, side), jax.numpy.float32)
     product = _harness.timed(jax.jit(lambda x: x @ x), matrix, repeats=10)["min_ms"]

@@ -1,4 +1,4 @@
-"""The policy's parts: encoder, one decoder pass, the arrival matching, and the classifier that judges its flights.
+"""The policy's parts: encoder, one decoder pass, the arrival matching, and the classifier of its flights.
 
     jaxplan bench policy [--json FILE]
 
@@ -16,6 +16,7 @@ from jaxplan.feasibility.checkpoint import load_classifier
 from jaxplan.minsnap.spline_batch import fit_each
 from jaxplan.policy.checkpoint import load_policy
 from jaxplan.spline import FlatState
+from jaxplan.vehicle.identity import require_same_vehicle
 from jaxplan.vehicle.load import load_vehicle
 
 from . import _harness
@@ -66,10 +67,11 @@ def main(arguments=None):
     chosen = parser.parse_args(arguments)
     rows = []
     with jax.enable_x64(True):
-        policy, classifier = load_policy(chosen.policy), load_classifier(chosen.classifier)
+        policy, classifier, vehicle = load_policy(chosen.policy), load_classifier(chosen.classifier), load_vehicle()
+        require_same_vehicle("classifier", classifier.vehicle, vehicle)
         for lanes in (36, 400, 2048):
             for waypoints in (7, 14):
-                rows += measure(policy, classifier, load_vehicle(), lanes, waypoints, chosen.repeats)
+                rows += measure(policy, classifier, vehicle, lanes, waypoints, chosen.repeats)
     _harness.show(rows)
     if chosen.json:
         _harness.write(chosen.json, rows)

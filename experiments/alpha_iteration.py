@@ -30,6 +30,8 @@ from jaxplan.training.dataset import build_flights
 from jaxplan.training.evaluate import policy_durations
 from jaxplan.training.labels import LabelConfig, initial_states, sped_up
 from jaxplan.training.sequences import free_queries, join, suffix_queries
+from jaxplan.vehicle.identity import require_same_vehicle
+from jaxplan.vehicle.load import load_vehicle
 
 from .figures.alpha_iteration import draw_alpha_iteration
 
@@ -102,6 +104,8 @@ def items(config: Config) -> list[Item]:
 def evaluate(config: Config, item: Item) -> Row:
     """All curves of the picture, and the numbers beside it."""
     rng, limits, chosen = np.random.default_rng(config.seed), ArrivalConfig(), load_policy(config.policy)
+    vehicle = load_vehicle()
+    require_same_vehicle(f"policy {config.policy!r}", chosen.vehicle, vehicle)
     queries = sequences(chosen, config.count, rng)
     least = policy_durations(chosen, queries).sum(axis=0)
     goals = least * rng.uniform(1.0, 3.0, len(least))
@@ -112,7 +116,7 @@ def evaluate(config: Config, item: Item) -> Row:
     for alpha in ALPHAS:
         durations = alpha * policy_durations(chosen, sped_up(queries, alpha))
         times.append(durations.sum(axis=0) / least)
-        error = track(fly(queries, durations)).max_position_error
+        error = track(fly(queries, durations), vehicle=vehicle).max_position_error
         tracking.append(np.where(error < 5.0, error, np.nan))  # lost: its error says only how far it fell
     grows = (np.diff(np.stack(times), axis=0) > 0.0).all(axis=0)
     return {

@@ -31,7 +31,7 @@ from jaxplan.training.dataset import (
     shard_path,
     write_shard,
 )
-from jaxplan.training.examples import lanes_of, load_examples
+from jaxplan.training.examples import load_examples, take_examples
 from jaxplan.training.imitation import ImitationConfig
 from jaxplan.training.pretrain import PretrainConfig, pretrain
 from jaxplan.vehicle.load import load_vehicle
@@ -118,7 +118,7 @@ def _timed(config, network, parameters):
     """Median milliseconds of encoding with one pass, and of a pass, over held-out sequences."""
     policy, held_out = neural_policy("sized", network, parameters), load_examples(_data(config), held_out=True)
     longest = np.argsort(-held_out.count, kind="stable")
-    some = lanes_of(held_out, np.resize(longest, CANDIDATES))
+    some = take_examples(held_out, np.resize(longest, CANDIDATES))
     state = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), some.initial)
     encode, decode = jax.jit(policy.encode), jax.jit(policy.decode)
     memory = encode(some.waypoints, some.count)

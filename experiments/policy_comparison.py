@@ -30,6 +30,7 @@ from jaxplan.training.dataset import DatasetConfig, build_flights, build_labels,
 from jaxplan.training.evaluate import policy_durations
 from jaxplan.training.scores import area_under_curve
 from jaxplan.training.sequences import take
+from jaxplan.vehicle.identity import require_same_vehicle
 from jaxplan.vehicle.load import load_vehicle
 
 from .figures.policy_comparison import draw_policy_comparison
@@ -92,7 +93,7 @@ def evaluate(config: Config, item: Item) -> Row:
     queries, limits = _sequences(config, item.values["shard"])
     found = {"label": _flown(queries, limits)}
     for name in config.policies:
-        found[name] = _flown(queries, policy_durations(load_policy(name), queries))
+        found[name] = _flown(queries, policy_durations(_policy(name), queries))
     return {"waypoints": queries.count.tolist(), **found}
 
 
@@ -100,6 +101,13 @@ def evaluate(config: Config, item: Item) -> Row:
 def _tools():
     vehicle, config = load_vehicle(), DatasetConfig()
     return vehicle, config, build_labels(vehicle, config.labels), build_flights(config.labels)
+
+
+def _policy(name):
+    """A policy that was made for the vehicle that flies."""
+    policy, (vehicle, *_) = load_policy(name), _tools()
+    require_same_vehicle(f"policy {name!r}", policy.vehicle, vehicle)
+    return policy
 
 
 @functools.cache
@@ -129,7 +137,7 @@ def _near_the_boundary(config, shard):
     vehicle, made, _, _ = _tools()
     queries, _ = _sequences(config, shard)
     rng = np.random.default_rng([config.seed, shard])
-    durations = policy_durations(load_policy(config.policies[-1]), queries)
+    durations = policy_durations(_policy(config.policies[-1]), queries)
     solve, tries = active.build_solve(vehicle, made.labels), []
     for draw in range(config.tries):
         flights = solve(queries, active.perturbed(durations, (0.8, 1.15), 0.05, rng))
@@ -148,7 +156,7 @@ def _curve(config, count, related, draw):
     some = np.random.default_rng([config.seed, draw]).permutation(len(seen.feasible))[:count]
     settings = ClassifierConfig(steps=config.steps, related_to_low=related, seed=draw)
     model, _ = train_classifier(settings, Labelled(seen.motion[..., some], seen.feasible[some]))
-    chance = active.judged(make_classifier(model), unseen.motion)
+    chance = active.probabilities(make_classifier(model), unseen.motion)
     margin = np.asarray(low_fidelity(unseen.motion))[0]
     auc, without_rollouts = (area_under_curve(score, unseen.feasible) for score in (chance, margin))
     return {"labels": count, "related": related, "auc": auc, "margin_alone": without_rollouts}

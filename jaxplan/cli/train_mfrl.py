@@ -9,11 +9,10 @@ from jaxplan.errors import InputError
 from jaxplan.feasibility.checkpoint import load_classifier, save_classifier
 from jaxplan.policy.checkpoint import load_parameters, load_policy, save_policy
 from jaxplan.policy.network import NetworkConfig
-from jaxplan.training.dataset import digest, read_config
+from jaxplan.training.dataset import dataset_vehicle, digest, read_config
 from jaxplan.training.evaluate import score_classifier, score_policy
 from jaxplan.training.examples import load_examples
 from jaxplan.training.mfrl import MfrlConfig, Run, reinforce
-from jaxplan.vehicle.load import load_vehicle
 from jaxplan.versions import require_supported_jax
 
 _BESIDE, _FIXED = ("reinforce",), ("classifier",)
@@ -55,17 +54,16 @@ def mfrl(
     for path in (out, classifier):
         if path.suffix != ".npz" or not path.parent.is_dir():
             raise InputError(f"train mfrl: have {path}, want a .npz file in a folder that exists; correct it")
-    made = read_config(data)
-    network, parameters = load_parameters(start)
+    made, pretrained = read_config(data), load_parameters(start)
     examples = load_examples(data, held_out=False)
-    found = reinforce(run, examples, load_vehicle(made.vehicle), network, parameters, config, made.labels)
+    found = reinforce(run, examples, dataset_vehicle(data), pretrained, config, made.labels)
     card = {
         "command": command_line("train mfrl", {"start": start}, option_values(config, _BESIDE, _FIXED)),
         "config": dataclasses.asdict(config),
         "data": {"sha256": digest(data / "dataset.json"), **dataclasses.asdict(made)},
         "rollouts": config.first_labels + (config.rounds - 1) * (config.chosen + config.random) + config.calibration,
     }
-    _save(found, network, out, classifier, card, data, flights)
+    _save(found, pretrained.network, out, classifier, card, data, flights)
     print(f"{out}: {out.stat().st_size / 1e6:.2f} MB; {classifier}: {classifier.stat().st_size / 1e6:.2f} MB")
     return 0
 
@@ -73,11 +71,12 @@ def mfrl(
 def _save(
     found: Run, network: NetworkConfig, out: Path, classifier: Path, card: dict[str, Any], data: Path, flights: int
 ) -> None:
-    """Save both artefacts, then score both and save them with their scores."""
-    save_policy(out, network, found.learner.parameters, card)
-    save_classifier(classifier, found.model, card)
+    """Save both artefacts for the dataset's vehicle, then score both and save them with their scores."""
+    vehicle = dataset_vehicle(data)
+    save_policy(out, network, found.learner.parameters, card, vehicle=vehicle)
+    save_classifier(classifier, found.model, card, vehicle=vehicle)
     if flights:
         scores = score_policy(load_policy(out), data, flights)
-        save_policy(out, network, found.learner.parameters, {**card, "scores": scores})
+        save_policy(out, network, found.learner.parameters, {**card, "scores": scores}, vehicle=vehicle)
         scores = score_classifier(load_classifier(classifier), load_policy(out), data, flights)
-        save_classifier(classifier, found.model, {**card, "scores": scores})
+        save_classifier(classifier, found.model, {**card, "scores": scores}, vehicle=vehicle)

@@ -9,7 +9,7 @@ from jaxplan.cli.parameters import command_line, option_values, with_options
 from jaxplan.errors import InputError
 from jaxplan.policy.checkpoint import load_parameters, load_policy, policy_card, resolve_policy, save_policy
 from jaxplan.runner.distribute import map_on_workers
-from jaxplan.training.dataset import DatasetConfig, digest, in_turn, make_dataset, read_config
+from jaxplan.training.dataset import DatasetConfig, dataset_vehicle, digest, in_turn, make_dataset, read_config
 from jaxplan.training.evaluate import score_policy
 from jaxplan.training.pretrain import PretrainConfig
 from jaxplan.training.pretrain import pretrain as train
@@ -80,16 +80,17 @@ def pretrain(
         raise InputError(f"train pretrain: have --out {out}, want a .npz file in a folder that exists; correct it")
     options, parameters = option_values(config, beside=_BESIDE), None
     if start is not None:
-        network, parameters = load_parameters(start)
+        network, parameters, _ = load_parameters(start)
         config = dataclasses.replace(config, network=network)
         options = {"start": start, **option_values(config, beside=_BESIDE, fixed=("network",))}
     state, error = train(run, data, config, start=parameters)
     card = _provenance(command_line("train pretrain", options), config, start, data)
     card |= {"steps_taken": int(state.step), "held_out_error_of_total_time": error.overall}
-    save_policy(out, config.network, state.averaged, card)
+    vehicle = dataset_vehicle(data)
+    save_policy(out, config.network, state.averaged, card, vehicle=vehicle)
     if flights:
         card["scores"] = score_policy(load_policy(out), data, flights)
-        save_policy(out, config.network, state.averaged, card)
+        save_policy(out, config.network, state.averaged, card, vehicle=vehicle)
     print(f"{out}: held-out error of the total time {error.overall:.1%}, {out.stat().st_size / 1e6:.2f} MB")
     return 0
 

@@ -12,23 +12,25 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxplan.arrays import AnyArray
 from jaxplan.feasibility.features import LOW_FIDELITIES, low_fidelity, motion_features, summarise
 from jaxplan.feasibility.gaussian_process import (
     Posterior,
     Process,
     Related,
     new_process,
+    posterior,
     predict,
-    prepare,
     probability,
     rbf,
     related,
 )
 from jaxplan.minsnap.spline_batch import SplineBatch
+from jaxplan.vehicle.identity import VehicleId
 from jaxplan.vehicle.params import Vehicle
 
 LEAST_SPREAD = 1e-3
-"""Added to each spread, so that what never varies does no harm."""
+"""Added to each standard deviation, so that what never varies does not divide by 0."""
 APART = 0.1
 """How far inducing inputs are moved, so that no two coincide."""
 
@@ -38,6 +40,7 @@ class Scales(NamedTuple):
 
     centre: Float[Array, "d"]
     spread: Float[Array, "d"]
+    """Standard deviation."""
 
 
 class Model(NamedTuple):
@@ -47,13 +50,13 @@ class Model(NamedTuple):
     process: Process
     """On (z, f_low) if its kernel is ``Related``, on z alone otherwise."""
 
-    def inputs(self, motion: Float[Array, "f p n"]) -> Float[Array, "n d"]:
-        """What the process sees."""
+    def inputs(self, motion: Float[AnyArray, "f p n"]) -> Float[Array, "n d"]:
+        """What the process sees of n flights, from their ``motion_features``."""
         return _inputs(self.scales, motion, isinstance(self.process.kernel, Related))
 
 
 class Prediction(NamedTuple):
-    """What is believed of k trajectories."""
+    """What a classifier says of k trajectories; float32."""
 
     probability: Float[Array, "k"]
     """Of the rollout to be tracked."""
@@ -62,52 +65,73 @@ class Prediction(NamedTuple):
 
 
 class Classifier(NamedTuple):
-    """A trained model, ready for many queries."""
+    """A trained model, ready for many queries; a pytree, so that it may be an argument of what is compiled.
+
+    ``predict`` is the way in. Whoever brings it together with a vehicle on the host checks that it was made for it
+    (``vehicle.identity.require_same_vehicle``), as ``build_planner`` does; within what is compiled there is no check.
+    """
 
     scales: Scales
     posterior: Posterior
+    vehicle: VehicleId | None = None
+    """For which it was trained; None where that does not matter, as in measurements."""
 
     def predict(self, splines: SplineBatch, vehicle: Vehicle) -> Prediction:
-        """Probabilities for k trajectories of a vehicle (traced; float32)."""
-        return self.judge(motion_features(splines, vehicle))
+        """The probability that a rollout tracks each of k trajectories, to 0.20 m and 15 degrees, and how sure that is.
 
-    def judge(self, motion: Float[Array, "f p k"]) -> Prediction:
-        """Probabilities from ``motion_features``."""
+        Traced, differentiable in the splines' durations and coefficients; float32 whatever comes in.
+
+        Args:
+            splines: the trajectories [m, rad, s; world], batch last; the motion's features come from it alone.
+            vehicle: whose rotor limits and gravity the features are made with.
+        """
+        return self.predict_motion(motion_features(splines, vehicle))
+
+    def predict_motion(self, motion: Float[AnyArray, "f p k"]) -> Prediction:
+        """The same from ``motion_features`` (traced)."""
         seen = _inputs(self.scales, motion, isinstance(self.posterior.kernel, Related))
         mean, variance = predict(self.posterior, seen)
         return Prediction(probability(mean, variance), jnp.sqrt(variance))
 
 
-def new_model(inducing: int, seed: int, motion: Float[Array, "f p n"], *, related_to_low: bool = True) -> Model:
+def new_model(inducing: int, seed: int, motion: Float[AnyArray, "f p n"], *, related_to_low: bool = True) -> Model:
     """The prior, for flights like those of ``motion``, some of which are its inducing inputs.
 
     Args:
+        inducing: number of inducing inputs.
+        seed: of their choice.
+        motion: ``motion_features`` of n flights.
         related_to_low: whether the process sees the low fidelity.
     """
     seen = _seen(jnp.asarray(motion), related_to_low)
     scales = Scales(jnp.mean(seen, axis=0), jnp.std(seen, axis=0) + LEAST_SPREAD)
     keys = jax.random.split(jax.random.key(seed), 2)
     chosen = jax.random.choice(keys[0], len(seen), (inducing,), replace=len(seen) < inducing)
-    places = (seen[chosen] - scales.centre) / scales.spread
+    places = (seen[chosen] - scales.centre[None]) / scales.spread[None]
     dimensions = seen.shape[1] - (LOW_FIDELITIES if related_to_low else 0)
     length = float(np.sqrt(dimensions))
     kernel = related(dimensions, LOW_FIDELITIES, length) if related_to_low else rbf(dimensions, length)
     return Model(scales, new_process(kernel, places + APART * jax.random.normal(keys[1], places.shape, places.dtype)))
 
 
-def make_classifier(model: Model) -> Classifier:
-    """Ready a model for queries."""
-    return Classifier(model.scales, _prepared(model.process))
+def make_classifier(model: Model, vehicle: VehicleId | None = None) -> Classifier:
+    """Ready a model for queries: what does not depend on the query is computed.
+
+    Args:
+        model: trained, or a prior.
+        vehicle: for which it was trained.
+    """
+    return Classifier(model.scales, _posterior(model.process), vehicle)
 
 
-def _inputs(scales: Scales, motion: Float[Array, "f p n"], related_to_low: bool) -> Float[Array, "n d"]:
+def _inputs(scales: Scales, motion: Float[AnyArray, "f p n"], related_to_low: bool) -> Float[Array, "n d"]:
     scales = jax.lax.stop_gradient(scales)
-    return (_seen(motion, related_to_low) - scales.centre) / scales.spread
+    return (_seen(motion, related_to_low) - scales.centre[None]) / scales.spread[None]
 
 
-def _seen(motion: Float[Array, "f p n"], related_to_low: bool) -> Float[Array, "n d"]:
+def _seen(motion: Float[AnyArray, "f p n"], related_to_low: bool) -> Float[Array, "n d"]:
     summary = summarise(motion)
     return (jnp.concatenate([summary, low_fidelity(motion)]) if related_to_low else summary).T
 
 
-_prepared = jax.jit(prepare)
+_posterior = jax.jit(posterior)

@@ -10,9 +10,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxplan.arrays import AnyArray
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.vehicle.limits import thrust_limit_margin
 from jaxplan.vehicle.params import Vehicle
+from jaxplan.vehicle.thrust import LEAST_THRUST, log_thrust
 from jaxplan.vehicle.vectors import dot, length
 
 INSTANTS = 20
@@ -29,17 +31,20 @@ SCARCE = 0.2
 """Compressed margin below which a rotor has little left,"""
 SHORT = 0.04
 """and the time [s] times margin that counts as none: both arbitrary."""
-GRAVITY = 9.81
-LEAST_THRUST = 0.5
-"""Specific thrust [m/s^2] below which its direction counts as changing no faster (arbitrary)."""
 
 
 def motion_features(splines: SplineBatch, vehicle: Vehicle) -> Float[Array, "f p k"]:
-    """Features of ``INSTANTS`` instants of each of k trajectories, compressed to the order of 1 (float32)."""
+    """Features of ``INSTANTS`` instants of each of k trajectories, compressed to the order of 1 (traced; float32).
+
+    Args:
+        splines: the trajectories [m, rad, s; world].
+        vehicle: its gravity and rotor limits; any precision.
+    """
     states = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), splines).states(INSTANTS)
     _, velocity, acceleration, jerk, snap = states.derivatives  # (3, p, k)
     _, yaw_rate, yaw_acceleration = states.yaw
-    force = (acceleration[0], acceleration[1], acceleration[2] + GRAVITY)
+    gravity = jnp.asarray(vehicle.gravity, velocity.dtype)
+    force = (acceleration[0], acceleration[1], acceleration[2] + gravity)
     thrust = length(force)
     share = 1.0 / jnp.maximum(thrust, LEAST_THRUST)
     up = [share * entry for entry in force]
@@ -48,7 +53,7 @@ def motion_features(splines: SplineBatch, vehicle: Vehicle) -> Float[Array, "f p
     twisting = share * length([snap[axis] - along_snap * up[axis] for axis in range(3)])
     total = jnp.sum(splines.durations, axis=0).astype(jnp.float32)
     features = [
-        jnp.log((thrust + 0.1) / GRAVITY),
+        log_thrust(thrust),
         up[2],
         _compressed(0.5 * length(velocity)),
         _compressed(0.5 * climb),
@@ -58,13 +63,13 @@ def motion_features(splines: SplineBatch, vehicle: Vehicle) -> Float[Array, "f p
         _compressed(0.02 * along_snap),
         _compressed(yaw_rate),
         _compressed(0.3 * yaw_acceleration),
-        jnp.log(jnp.maximum(total, 1e-3)) * jnp.ones_like(thrust),
+        jnp.log(jnp.maximum(total, 1e-3))[None] * jnp.ones_like(thrust),
         _compressed(5.0 * thrust_limit_margin(vehicle, states)),
     ]
     return jnp.stack(features)
 
 
-def low_fidelity(motion: Float[Array, "f p k"]) -> Float[Array, "l k"]:
+def low_fidelity(motion: Float[AnyArray, "f p k"]) -> Float[Array, "l k"]:
     """How far the rotors of each trajectory are from their limits, and how far and long beyond, on a logarithmic scale.
 
     The first is negative where a rotor would have to exceed its limits, which it may for an instant.
@@ -74,7 +79,7 @@ def low_fidelity(motion: Float[Array, "f p k"]) -> Float[Array, "l k"]:
     return jnp.stack([jnp.min(motion[MARGIN], axis=0), jnp.log(duration * lacking + SHORT)])
 
 
-def summarise(motion: Float[Array, "f p k"]) -> Float[Array, "s k"]:
+def summarise(motion: Float[AnyArray, "f p k"]) -> Float[Array, "s k"]:
     """What each trajectory comes to: the largest, the least and the mean of every feature, and its duration.
 
     Turning left counts as turning right. The low fidelity is left out.

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import solve_triangular
 from jax.scipy.special import log_ndtr, ndtr
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 JITTER = 1e-4
 """Added to the diagonal of k(Z, Z), relative to its largest entry; float32 needs as much."""
@@ -33,8 +33,10 @@ class Rbf(NamedTuple):
     """Of the standard deviation."""
 
     def __call__(self, x: Float[Array, "n d"], y: Float[Array, "m d"]) -> Float[Array, "n m"]:
-        x, y = x * jnp.exp(-self.log_lengths), y * jnp.exp(-self.log_lengths)
-        squared = jnp.sum(x * x, axis=1)[:, None] + jnp.sum(y * y, axis=1) - 2.0 * x @ y.T
+        """Covariances of f at ``x`` and at ``y``."""
+        rates = jnp.exp(-self.log_lengths)[None]
+        x, y = x * rates, y * rates
+        squared = jnp.sum(x * x, axis=1)[:, None] + jnp.sum(y * y, axis=1)[None] - 2.0 * x @ y.T
         return jnp.exp(2.0 * self.log_scale - 0.5 * jnp.maximum(squared, 0.0))
 
 
@@ -46,13 +48,14 @@ class Related(NamedTuple):
     low: Rbf
     """On f_low alone."""
 
-    def __call__(self, x: Float[Array, "n d+l"], y: Float[Array, "m d+l"]) -> Float[Array, "n m"]:
+    def __call__(self, x: Float[Array, "n e"], y: Float[Array, "m e"]) -> Float[Array, "n m"]:
+        """Covariances of f at ``x`` and at ``y``; e = d + l."""
         (x, x_low), (y, y_low) = self.split(x), self.split(y)
         shared = self.low(x_low, y_low) + x_low @ y_low.T / x_low.shape[1]
         return self.own(x, y) + self.correlation(x, y) * shared
 
-    def split(self, x: Float[Array, "n d+l"]) -> tuple[Float[Array, "n d"], Float[Array, "n l"]]:
-        """z and f_low."""
+    def split(self, x: Float[Array, "n e"]) -> tuple[Float[Array, "n d"], Float[Array, "n l"]]:
+        """z and f_low; e = d + l."""
         d = len(self.own.log_lengths)
         return x[:, :d], x[:, d:]
 
@@ -81,6 +84,7 @@ class Posterior(NamedTuple):
 
 
 def rbf(dimensions: int, length: float = 1.0, scale: float = 1.0) -> Rbf:
+    """A kernel of one length in all dimensions; ``scale`` is the standard deviation of f."""
     return Rbf(jnp.full(dimensions, np.log(length), jnp.float32), jnp.float32(np.log(scale)))
 
 
@@ -103,12 +107,12 @@ def new_process(kernel: Rbf | Related, inducing: Float[Array, "m d"]) -> Process
 
 def marginals(process: Process, x: Float[Array, "n d"]) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
     """Mean and variance of f at ``x``."""
-    spread = solve_triangular(_factor(process), process.kernel(process.inducing, x), lower=True)
-    inner = jnp.sum(spread**2, axis=0) - jnp.sum((_root(process).T @ spread) ** 2, axis=0)
-    return process.offset + spread.T @ process.mean, jnp.maximum(_diagonal(process.kernel, x) - inner, 1e-6)
+    whitened = solve_triangular(_factor(process), process.kernel(process.inducing, x), lower=True)
+    inner = jnp.sum(whitened**2, axis=0) - jnp.sum((_root(process).T @ whitened) ** 2, axis=0)
+    return process.offset + whitened.T @ process.mean, jnp.maximum(_diagonal(process.kernel, x) - inner, 1e-6)
 
 
-def prepare(process: Process) -> Posterior:
+def posterior(process: Process) -> Posterior:
     """The same marginals in two matrix products a query."""
     factor, root = _factor(process), _root(process)
     inverse = solve_triangular(factor, jnp.eye(len(factor), dtype=factor.dtype), lower=True)
@@ -133,9 +137,9 @@ def expected_log_likelihood(
     mean: Float[Array, "n"], variance: Float[Array, "n"], positive: Bool[Array, "n"]
 ) -> Float[Array, "n"]:
     """E log Phi(y f), y = 1 or -1, by quadrature."""
-    sign = jnp.where(positive, 1.0, -1.0)
+    sign = jnp.where(positive, 1.0, -1.0).astype(mean.dtype)
     nodes, weights = jnp.asarray(NODES, mean.dtype), jnp.asarray(WEIGHTS / np.sqrt(2.0 * np.pi), mean.dtype)
-    samples = (mean + nodes[:, None] * jnp.sqrt(variance)) * sign
+    samples = (mean[None] + nodes[:, None] * jnp.sqrt(variance)[None]) * sign[None]
     return weights @ log_ndtr(samples)
 
 
@@ -146,10 +150,12 @@ def divergence(process: Process) -> Float[Array, ""]:
     return 0.5 * (trace - len(root)) - jnp.sum(jnp.diag(process.root))
 
 
-def lower_bound(process: Process, x: Float[Array, "n d"], positive: Bool[Array, "n"], size: int) -> Float[Array, ""]:
+def lower_bound(
+    process: Process, x: Float[Array, "n d"], positive: Bool[Array, "n"], size: int | Int[Array, ""]
+) -> Float[Array, ""]:
     """Evidence lower bound per datum, from a sample of a data set of ``size``."""
     likelihood = expected_log_likelihood(*marginals(process, x), positive)
-    return jnp.mean(likelihood) - divergence(process) / size
+    return jnp.mean(likelihood) - divergence(process) / jnp.asarray(size, x.dtype)
 
 
 def _factor(process: Process) -> Float[Array, "m m"]:

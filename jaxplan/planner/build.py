@@ -26,6 +26,7 @@ from jaxplan.search.routes import warmup as warm_up_search
 from jaxplan.search.update import update_lattices
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason
+from jaxplan.vehicle.identity import require_same_vehicle
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.obstacles import World
 from jaxplan.world.update import Change
@@ -47,7 +48,12 @@ def build_planner(
         vehicle: whose limits and radius the checks keep.
         policy: allocates the times between waypoints.
         classifier: decides which trajectories the vehicle can follow; without one the rotor limits do.
+
+    Raises:
+        InputError: policy or classifier were made for another vehicle.
     """
+    require_same_vehicle(f"policy {policy.name!r}", policy.vehicle, vehicle)
+    require_same_vehicle("classifier", None if classifier is None else classifier.vehicle, vehicle)
     config = config or PlannerConfig()
     lattices = build_lattices(world, SearchConfig(padding=config.padding))
     return _planner(Parts(config, compile_stations(config, vehicle, policy, classifier), lattices, _on_device(world)))

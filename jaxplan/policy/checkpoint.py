@@ -1,11 +1,12 @@
 """Weights of a policy as one file (``jaxplan.weights``), and whether they still give the durations that they gave.
 
-The header adds the network's sizes, the command and scores that made the weights, and the durations of three golden
-sequences. Loading checks all of it, so weights of another network are refused by name instead of flying.
+The header adds the network's sizes, the vehicle that the weights were made for, the command and scores that made them,
+and the durations of three golden sequences. Loading checks all of it, so weights of another network are refused by name
+instead of flying.
 """
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +18,8 @@ from jaxplan.policy.network import NetworkConfig
 from jaxplan.policy.neural import neural_policy
 from jaxplan.policy.protocol import Policy
 from jaxplan.spline import FlatStateBatch
+from jaxplan.vehicle.identity import VehicleId, from_header, to_header
+from jaxplan.vehicle.params import Vehicle
 from jaxplan.weights import read_weights, resolve_weights, unflatten, write_weights
 
 KIND = "policy"
@@ -25,10 +28,21 @@ GOLDEN_TOLERANCE = 1e-3
 WEIGHTS = Path(__file__).parent / "weights"
 
 
-def save_policy(path: Path, config: NetworkConfig, parameters: Any, card: dict[str, Any]) -> None:
-    """Write weights with their model ``card``: how they were made and how they score."""
+class TrainedPolicy(NamedTuple):
+    """What a file of weights holds: enough to go on training from."""
+
+    network: NetworkConfig
+    parameters: Any
+    """A tree as Flax has it, float32."""
+    vehicle: VehicleId
+    """For which they were trained."""
+
+
+def save_policy(path: Path, config: NetworkConfig, parameters: Any, card: dict[str, Any], *, vehicle: Vehicle) -> None:
+    """Write weights with their model ``card`` (how they were made and how they score) and the vehicle they are for."""
     header = {
         "network": {"hidden": config.hidden, "attention": config.attention, "latent": config.latent},
+        "vehicle": to_header(vehicle),
         "golden": _golden(config, parameters).tolist(),
         "card": card,
     }
@@ -36,7 +50,10 @@ def save_policy(path: Path, config: NetworkConfig, parameters: Any, card: dict[s
 
 
 def load_policy(source: str | Path) -> Policy:
-    """The policy in a checkpoint file, or a shipped one by name (``pretrained``).
+    """The policy in a checkpoint file, or a shipped one by name (``mfrl``, ``pretrained``).
+
+    It serves the vehicle that it was trained for, and ``build_planner`` refuses others; a file from before headers said
+    so counts as made for the preset ``mfrl``.
 
     Raises:
         FileError: no such file or name; damaged; of another format; weights that do not give the golden durations.
@@ -44,13 +61,13 @@ def load_policy(source: str | Path) -> Policy:
     return neural_policy(resolve_policy(source)[1], *load_parameters(source))
 
 
-def load_parameters(source: str | Path) -> tuple[NetworkConfig, Any]:
+def load_parameters(source: str | Path) -> TrainedPolicy:
     """Sizes and weights of a policy, to go on training from; checked as by ``load_policy``."""
     path, _ = resolve_policy(source)
     header, arrays = read_weights(path, KIND)
     try:
         config = NetworkConfig(**header["network"])
-        golden = np.asarray(header["golden"], float)
+        golden, vehicle = np.asarray(header["golden"], float), from_header(header)
     except (KeyError, TypeError, ValueError) as error:
         raise FileError(f"{path}: its header is not a policy's ({error}); use a file of jaxplan") from error
     parameters = unflatten(arrays)
@@ -60,7 +77,7 @@ def load_parameters(source: str | Path) -> tuple[NetworkConfig, Any]:
         raise FileError(f"{path}: the weights do not fit their network; the file is damaged") from error
     if found.shape != golden.shape or not np.allclose(found, golden, rtol=GOLDEN_TOLERANCE, atol=0.0):
         raise FileError(f"{path}: the weights do not give the durations that they gave when they were saved")
-    return config, jax.tree.map(jnp.asarray, parameters)
+    return TrainedPolicy(config, jax.tree.map(jnp.asarray, parameters), vehicle)
 
 
 def policy_card(source: str | Path) -> dict[str, Any]:

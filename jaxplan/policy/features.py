@@ -8,10 +8,12 @@ the arrival matching speeds the initial state up by alpha and must be seen to do
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
+from jaxplan.arrays import AnyArray
 from jaxplan.numerics import safe_divide, safe_norm
 from jaxplan.spline import FlatStateBatch
+from jaxplan.vehicle.thrust import LEAST_THRUST, STANDARD_GRAVITY, log_thrust
 
 MEAN_SPEED = 4.0
 """Speed [m/s] that turns a path's length into its nominal time (the predecessors' value)."""
@@ -21,9 +23,6 @@ UNITS = (2.0, 4.0, 12.0, 50.0)
 """m/s, m/s^2, m/s^3, m/s^4 around which velocity to snap go over from linear to logarithmic (arbitrary)."""
 SEGMENT_FEATURES = 10
 STATE_FEATURES = 38
-GRAVITY = 9.81
-LEAST_THRUST = 0.5
-"""Specific thrust [m/s^2] below which its direction counts as changing no faster (arbitrary)."""
 
 
 class Frame(NamedTuple):
@@ -43,8 +42,11 @@ class Frame(NamedTuple):
     """Length of the path [m]."""
 
 
-def sequence_frame(waypoints: Float[Array, "n 3 k"], count: Int[Array, "k"]) -> Frame:
-    """The frame of waypoints [m, world] of which ``count`` are in use; the goal repeats behind them."""
+def sequence_frame(waypoints: Float[AnyArray, "n 3 k"], count: Float[AnyArray, "k"]) -> Frame:
+    """The frame of waypoints [m, world] of which ``count`` are in use; the goal repeats behind them.
+
+    ``count`` has the dtype of the waypoints, which is that of all features.
+    """
     ahead = waypoints[-1] - waypoints[0]
     span = safe_norm(ahead[:2], axis=0)
     cos = jnp.where(span > 0.0, safe_divide(ahead[0], span), 1.0)
@@ -56,39 +58,43 @@ def sequence_frame(waypoints: Float[Array, "n 3 k"], count: Int[Array, "k"]) -> 
         cos=cos,
         sin=sin,
         nominal=length / MEAN_SPEED / jnp.maximum(count - 1, 1),
-        first=safe_divide(turned(steps[0], cos, sin), lengths[0]),
-        second=safe_divide(turned(steps[1], cos, sin), lengths[1]) if len(steps) > 1 else jnp.zeros_like(steps[0]),
+        first=safe_divide(turned(steps[0], cos, sin), lengths[:1]),
+        second=safe_divide(turned(steps[1], cos, sin), lengths[1:2]) if len(steps) > 1 else jnp.zeros_like(steps[0]),
         step=lengths[0],
         length=length,
     )
 
 
-def turned(vectors: Float[Array, "*a 3 k"], cos: Float[Array, "k"], sin: Float[Array, "k"]) -> Float[Array, "*a 3 k"]:
+def turned(
+    vectors: Float[AnyArray, "*a 3 k"], cos: Float[Array, "k"], sin: Float[Array, "k"]
+) -> Float[Array, "*a 3 k"]:
     """Vectors of the world in the sequence's frame."""
     x, y, z = (vectors[..., axis, :] for axis in range(3))
+    cos, sin = (jnp.expand_dims(part, tuple(range(x.ndim - 1))) for part in (cos, sin))
     return jnp.stack([cos * x + sin * y, cos * y - sin * x, z], axis=-2)
 
 
 def segment_features(
-    waypoints: Float[Array, "n 3 k"], count: Int[Array, "k"], frame: Frame
+    waypoints: Float[AnyArray, "n 3 k"], count: Float[AnyArray, "k"], frame: Frame
 ) -> tuple[Float[Array, "m f k"], Bool[Array, "m k"]]:
-    """What the encoder sees of each segment, and which segments are real."""
+    """What the encoder sees of each segment of waypoints [m, world], and which segments are real."""
     steps = turned(jnp.diff(waypoints, axis=0), frame.cos, frame.sin)
     lengths = safe_norm(steps, axis=1)
     directions = safe_divide(steps, lengths[:, None])
-    real = jnp.arange(len(steps))[:, None] < count - 1
+    index = jnp.arange(len(steps), dtype=lengths.dtype)[:, None]
+    real = index < (count - 1)[None]
     alike = jnp.where(real[1:], jnp.sum(directions[:-1] * directions[1:], axis=1), 1.0)
     edge = jnp.ones_like(alike[:1])
-    left = 1.0 - safe_divide(jnp.cumsum(lengths, axis=0), frame.length)
+    left = 1.0 - safe_divide(jnp.cumsum(lengths, axis=0), frame.length[None])
     features = [
         *(directions[:, axis] for axis in range(3)),
         jnp.log(lengths + SHORTEST),
-        jnp.log(safe_divide(lengths, MEAN_SPEED * frame.nominal) + SHORTEST),
+        jnp.log(safe_divide(lengths, (MEAN_SPEED * frame.nominal)[None]) + SHORTEST),
         jnp.concatenate([edge, alike]),
         jnp.concatenate([alike, edge]),
         left,
-        (jnp.arange(len(steps))[:, None] == count - 2).astype(lengths.dtype),
-        jnp.broadcast_to(0.2 * count, lengths.shape),
+        (index == (count - 2)[None]).astype(lengths.dtype),
+        jnp.broadcast_to((0.2 * count)[None], lengths.shape),
     ]
     return jnp.where(real[:, None], jnp.stack(features, axis=1), 0.0), real
 
@@ -104,7 +110,7 @@ def state_features(initial: FlatStateBatch, frame: Frame) -> Float[Array, "f k"]
     units = jnp.asarray(UNITS, own.dtype)[:, None]
     compressed = jnp.arcsinh(sizes / units)
     vectors = safe_divide(own, sizes[:, None]) * compressed[:, None]
-    along, beyond = (jnp.sum(own * step, axis=1) for step in (frame.first, frame.second))
+    along, beyond = (jnp.sum(own * step[None], axis=1) for step in (frame.first, frame.second))
     cos, sin = jnp.cos(initial.yaw[0]), jnp.sin(initial.yaw[0])
     facing = frame.cos * cos + frame.sin * sin, frame.cos * sin - frame.sin * cos
     scalars = [
@@ -129,14 +135,15 @@ def state_features(initial: FlatStateBatch, frame: Frame) -> Float[Array, "f k"]
 
 def _thrust_features(own: Float[Array, "4 3 k"]) -> list[Float[Array, "k"]]:
     """Size and tilt of the initial specific thrust, and how fast its size and direction change."""
-    force = own[1].at[2].add(GRAVITY)
+    force = own[1].at[2].add(STANDARD_GRAVITY)
     thrust = safe_norm(force, axis=0)
-    up = force / jnp.maximum(thrust, LEAST_THRUST)
+    at_least = jnp.maximum(thrust, LEAST_THRUST)
+    up = force / at_least[None]
     change, change_of_change = (jnp.sum(vector * up, axis=0) for vector in own[2:])
-    turning = safe_norm(own[2] - change * up, axis=0) / jnp.maximum(thrust, LEAST_THRUST)
-    twisting = safe_norm(own[3] - change_of_change * up, axis=0) / jnp.maximum(thrust, LEAST_THRUST)
+    turning = safe_norm(own[2] - change[None] * up, axis=0) / at_least
+    twisting = safe_norm(own[3] - change_of_change[None] * up, axis=0) / at_least
     return [
-        jnp.log((thrust + 0.1) / GRAVITY),
+        log_thrust(thrust),
         up[2],
         jnp.arcsinh(turning),
         jnp.arcsinh(0.1 * twisting),

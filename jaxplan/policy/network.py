@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxplan.errors import InputError
+from jaxplan.validation import require_within
 
 BLOCKED = np.float32(-1e9)
 """Attention score of padding."""
@@ -32,20 +32,22 @@ class NetworkConfig:
     """Width of the bottleneck."""
 
     def __post_init__(self) -> None:
-        for name in ("hidden", "attention", "latent"):
-            if not 1 <= getattr(self, name) <= 1024:
-                raise InputError(f"network: {name} is {getattr(self, name)}, want 1 to 1024")
+        require_within("network", self, 1, 1024, "hidden", "attention", "latent")
 
 
 class Memory(NamedTuple):
     """What the decoder needs to know about a sequence; segment first, batch last."""
 
     real: Bool[Array, "m k"]
-    inputs: Float[Array, "m 3h k"]
-    """Share of the decoder's gates that comes from the segment itself."""
+    """Which segments are no padding."""
+    inputs: Float[Array, "m g k"]
+    """Share of the decoder's gates that comes from the segment itself; g is three times the hidden width."""
     keys: Float[Array, "m a k"]
+    """What the attention compares,"""
     values: Float[Array, "m a k"]
+    """and what it passes on."""
     latent: Float[Array, "l k"]
+    """The bottleneck's: all that is known of the sequence as a whole."""
 
 
 class Bottleneck(NamedTuple):
@@ -63,11 +65,13 @@ class Linear(nn.Module):
 
     @nn.compact
     def __call__(self, x: Float[Array, "*m i k"]) -> Float[Array, "*m o k"]:
+        """Apply to each of k columns."""
         initial = nn.initializers.variance_scaling(1.0, "fan_avg", "uniform", in_axis=1, out_axis=0)
         product = self.param("kernel", initial, (self.width, x.shape[-2]), jnp.float32) @ x
-        return (
-            product + self.param("bias", nn.initializers.zeros, (self.width, 1), jnp.float32) if self.bias else product
-        )
+        if not self.bias:
+            return product
+        bias = self.param("bias", nn.initializers.zeros, (self.width, 1), jnp.float32)
+        return product + jnp.expand_dims(bias, tuple(range(x.ndim - 2)))
 
 
 class PolicyNetwork(nn.Module):
@@ -76,6 +80,7 @@ class PolicyNetwork(nn.Module):
     config: NetworkConfig
 
     def setup(self) -> None:
+        """Name the layers, as the stored weights have them."""
         width, attention = self.config.hidden, self.config.attention
         reader = width // 2
         self.embed = Linear(reader)
@@ -91,7 +96,7 @@ class PolicyNetwork(nn.Module):
         self.head = [Linear(width), Linear(1)]
 
     def encode(self, features: Float[Array, "m f k"], real: Bool[Array, "m k"]) -> tuple[Memory, Bottleneck]:
-        """Read the segments once."""
+        """Read the features of the segments once; padding, where ``real`` is false, does not matter."""
         embedded = nn.relu(self.embed(features))
         forward, end = self._read(0, embedded, real)
         backward, begin = self._read(1, embedded[::-1], real[::-1])
@@ -106,25 +111,27 @@ class PolicyNetwork(nn.Module):
         hidden = softsign(self.start[1](seen))
         constant = self.state_gates(seen)
         keys = memory.keys / np.sqrt(self.config.attention).astype(np.float32)
-        blocked = jnp.where(memory.real, 0.0, BLOCKED)
+        blocked = jnp.where(memory.real, np.float32(0.0), BLOCKED)
 
-        def step(carry: tuple, segment: tuple) -> tuple:
+        def step(carry: _Decoded, segment: _Segment) -> tuple[_Decoded, Float[Array, "k"]]:
             hidden, last = carry
             inputs, real = segment
             gates, query = jnp.split(self.hidden_gates(hidden), [3 * self.config.hidden])
-            weights = jax.nn.softmax(jnp.sum(keys * query, axis=1) + blocked, axis=0)
+            weights = jax.nn.softmax(jnp.sum(keys * query[None], axis=1) + blocked, axis=0)
             context = jnp.sum(weights[:, None] * memory.values, axis=0)
             moved = _gru(hidden, inputs + constant + self.context_gates(context) + self.last_gates(last), gates)
             output = self.head[1](nn.relu(self.head[0](moved)))
-            return (jnp.where(real, moved, hidden), jnp.where(real, output, last)), output[0]
+            return _Decoded(jnp.where(real[None], moved, hidden), jnp.where(real[None], output, last)), output[0]
 
-        carry = (hidden, jnp.zeros_like(hidden[:1]))
+        carry = _Decoded(hidden, jnp.zeros_like(hidden[:1]))
         if self.is_initializing():
-            return step(carry, (memory.inputs[0], memory.real[0]))[1]
-        return jax.lax.scan(step, carry, (memory.inputs, memory.real))[1]
+            return step(carry, _Segment(memory.inputs[0], memory.real[0]))[1][None]
+        return jax.lax.scan(step, carry, _Segment(memory.inputs, memory.real))[1]
 
-    def __call__(self, features: Float[Array, "m f k"], real: Bool[Array, "m k"], state: Float[Array, "s k"]) -> Array:
-        """Encode and decode; for initialisation."""
+    def __call__(
+        self, features: Float[Array, "m f k"], real: Bool[Array, "m k"], state: Float[Array, "s k"]
+    ) -> Float[Array, "_ k"]:
+        """Encode and decode; for initialisation, when one segment is decoded."""
         return self.decode(self.encode(features, real)[0], state)
 
     def _read(
@@ -133,30 +140,48 @@ class PolicyNetwork(nn.Module):
         """One direction of the encoder; padding leaves the hidden state as it is."""
         inputs = self.read_inputs[direction](embedded)
 
-        def step(hidden: Array, segment: tuple) -> tuple:
+        def step(hidden: Float[Array, "h k"], segment: _Segment) -> tuple[Float[Array, "h k"], Float[Array, "h k"]]:
             driven, valid = segment
-            hidden = jnp.where(valid, _gru(hidden, driven, self.read_states[direction](hidden)), hidden)
+            hidden = jnp.where(valid[None], _gru(hidden, driven, self.read_states[direction](hidden)), hidden)
             return hidden, hidden
 
         start = jnp.zeros_like(embedded[0])
         if self.is_initializing():
-            return embedded, step(start, (inputs[0], real[0]))[0]
-        end, states = jax.lax.scan(step, start, (inputs, real))
+            return embedded, step(start, _Segment(inputs[0], real[0]))[0]
+        end, states = jax.lax.scan(step, start, _Segment(inputs, real))
         return states, end
 
 
-def _gru(hidden: Float[Array, "h k"], driven: Float[Array, "3h k"], own: Float[Array, "3h k"]) -> Float[Array, "h k"]:
-    """A gated recurrent unit whose products are already taken (Cho et al. 2014, with the reset behind the product)."""
+class _Segment(NamedTuple):
+    """What a recurrent step reads: one segment, or all of them for a scan."""
+
+    inputs: Float[Array, "*m g k"]
+    real: Bool[Array, "*m k"]
+
+
+class _Decoded(NamedTuple):
+    """Carry of the decoder."""
+
+    hidden: Float[Array, "h k"]
+    last: Float[Array, "1 k"]
+    """The log-duration of the segment before."""
+
+
+def _gru(hidden: Float[Array, "h k"], driven: Float[Array, "g k"], own: Float[Array, "g k"]) -> Float[Array, "h k"]:
+    """A gated recurrent unit whose products are already taken (Cho et al. 2014, with the reset behind the product).
+
+    ``driven``, by the input, and ``own``, by the hidden state, hold update, reset and candidate: g = 3 h.
+    """
     update, reset, candidate = jnp.split(driven, 3)
     own_update, own_reset, own_candidate = jnp.split(own, 3)
     kept = _gate(update + own_update)
     return kept * hidden + (1.0 - kept) * softsign(candidate + _gate(reset + own_reset) * own_candidate)
 
 
-def softsign(x: Float[Array, "..."]) -> Float[Array, "..."]:
+def softsign(x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """x / (1 + |x|): in place of tanh, whose evaluation would cost half of the network's time or more on a CPU."""
     return x / (1.0 + jnp.abs(x))
 
 
-def _gate(x: Float[Array, "..."]) -> Float[Array, "..."]:
+def _gate(x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     return 0.5 + 0.5 * softsign(x)

@@ -5,14 +5,13 @@ classes stay common because flights are tried from too fast to comfortably slow.
 """
 
 import math
-from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxplan.errors import FileError
 from jaxplan.feasibility.classifier import Classifier, Model
@@ -28,7 +27,7 @@ from jaxplan.training.labels import LabelConfig, Queries
 from jaxplan.training.sequences import take
 from jaxplan.vehicle.params import Vehicle
 
-LANES = 512
+WIDTH = 512
 """Flights that are solved together."""
 
 
@@ -39,19 +38,23 @@ class Flights(NamedTuple):
     motion: Float[np.ndarray, "f p n"]
 
 
-Solve = Callable[[Queries, Float[np.ndarray, "m n"]], Flights]
+class Solve(Protocol):
+    """Flights of given durations."""
+
+    def __call__(self, queries: Queries, durations: Float[np.ndarray, "m n"]) -> Flights:
+        """Solve n sequences with these durations [s] (host)."""
 
 
 def build_solve(vehicle: Vehicle, labels: LabelConfig) -> Solve:
-    """Flights of given durations, ``LANES`` at a time."""
+    """Flights of given durations, ``WIDTH`` at a time."""
     fly = build_flights(labels)
     look = in_float64(jax.jit(motion_features))
 
     def solve(queries: Queries, durations: Float[np.ndarray, "m n"]) -> Flights:
         size, parts = durations.shape[-1], []
-        for begin in range(0, size, LANES):
-            lanes = np.minimum(np.arange(begin, begin + LANES), size - 1)
-            splines = fly(take(queries, lanes), durations[:, lanes])
+        for begin in range(0, size, WIDTH):
+            some = np.minimum(np.arange(begin, begin + WIDTH), size - 1)
+            splines = fly(take(queries, some), durations[:, some])
             parts.append(Flights(splines, np.asarray(look(splines, vehicle))))
         return jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1)[..., :size], *parts)
 
@@ -66,11 +69,11 @@ def perturbed(
     return durations * factor * np.exp(noise * rng.normal(size=durations.shape))
 
 
-def roll_out(flights: Flights, lanes: Int[np.ndarray, "n"], vehicle: Vehicle, seed: int) -> Bool[np.ndarray, "n"]:
-    """Whether a rollout tracks some of the flights."""
-    some = jax.tree.map(lambda leaf: np.asarray(leaf)[..., lanes], flights.splines)
-    indices = seed * 1_000_000 + np.arange(len(lanes))
-    return np.asarray(track(some, vehicle=vehicle, indices=indices % 2**31).feasible)
+def roll_out(flights: Flights, members: Int[np.ndarray, "n"], vehicle: Vehicle, seed: int) -> Bool[np.ndarray, "n"]:
+    """Whether a rollout tracks some of the flights, ``members`` by their index, with noise from ``seed`` (host)."""
+    some = jax.tree.map(lambda leaf: np.asarray(leaf)[..., members], flights.splines)
+    streams = seed * 1_000_000 + np.arange(len(members))
+    return np.asarray(track(some, vehicle=vehicle, indices=streams % 2**31).feasible)
 
 
 def least_certain(probability: Float[np.ndarray, "n"], count: int) -> Int[np.ndarray, "c"]:
@@ -79,22 +82,25 @@ def least_certain(probability: Float[np.ndarray, "n"], count: int) -> Int[np.nda
     return np.argsort(-ratio, kind="stable")[:count]
 
 
-def judged(classifier: Classifier, motion: Float[np.ndarray, "f p n"]) -> Float[np.ndarray, "n"]:
-    """Probabilities of many flights (host)."""
+def probabilities(classifier: Classifier, motion: Float[np.ndarray, "f p n"]) -> Float[np.ndarray, "n"]:
+    """P(tracked) of many flights from their ``motion_features``, ``WIDTH`` at a time (host)."""
     size = motion.shape[-1]
-    filled = np.resize(np.arange(size), -(-size // LANES) * LANES)
-    parts = [_judge(classifier, jnp.asarray(motion[..., lanes])) for lanes in np.split(filled, len(filled) // LANES)]
+    filled = np.resize(np.arange(size), -(-size // WIDTH) * WIDTH)
+    parts = [_probability(classifier, jnp.asarray(motion[..., k])) for k in np.split(filled, len(filled) // WIDTH)]
     return np.concatenate([np.asarray(part) for part in parts])[:size]
 
 
-_judge = jax.jit(lambda classifier, motion: classifier.judge(motion).probability)
+@jax.jit
+def _probability(classifier: Classifier, motion: Float[Array, "f p n"]) -> Float[Array, "n"]:
+    return classifier.predict_motion(motion).probability
 
 
 def latents(model: Model, motion: Float[np.ndarray, "f p n"]) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Mean and variance of the latent function for many flights (host)."""
     find = jax.jit(lambda some: marginals(model.process, model.inputs(some)))
-    parts = [find(jnp.asarray(part)) for part in np.array_split(motion, -(-motion.shape[-1] // LANES), axis=-1)]
-    return tuple(np.concatenate(leaves) for leaves in zip(*parts, strict=True))  # type: ignore[return-value]
+    parts = [find(jnp.asarray(part)) for part in np.array_split(motion, -(-motion.shape[-1] // WIDTH), axis=-1)]
+    mean, variance = (np.concatenate(leaves) for leaves in zip(*parts, strict=True))
+    return mean, variance
 
 
 def save_labels(path: Path, labelled: Labelled) -> None:

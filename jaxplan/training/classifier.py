@@ -2,20 +2,21 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 from scipy.optimize import minimize
 from scipy.special import ndtr
 
+from jaxplan.arrays import AnyArray
 from jaxplan.errors import InputError
 from jaxplan.feasibility.classifier import Model, new_model
 from jaxplan.feasibility.gaussian_process import Related, lower_bound
+from jaxplan.validation import require_at_least, require_positive
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,23 +33,25 @@ class ClassifierConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("inducing", "steps", "batch"):
-            if getattr(self, name) < 1:
-                raise InputError(f"classifier: {name} is {getattr(self, name)}, want 1 or more")
-        if not self.learning_rate > 0.0:
-            raise InputError(f"classifier: learning_rate is {self.learning_rate}, want a positive number")
+        require_at_least("classifier", self, 1, "inducing", "steps", "batch")
+        require_positive("classifier", self, "learning_rate")
 
 
 class Labelled(NamedTuple):
     """Trajectories, by their ``motion_features``, that a rollout has tracked or not."""
 
-    motion: Float[Array, "f p n"]
-    feasible: Bool[Array, "n"]
+    motion: Float[AnyArray, "f p n"]
+    feasible: Bool[AnyArray, "n"]
 
 
 class _State(NamedTuple):
     model: Model
-    optimiser: Any
+    optimiser: optax.OptState
+
+
+class _Advance(Protocol):
+    def __call__(self, state: _State, drawn: Labelled, size: int) -> tuple[_State, Float[Array, ""]]:
+        """One gradient step on labels drawn from a set of ``size``; also the loss."""
 
 
 def train_classifier(config: ClassifierConfig, labelled: Labelled, start: Model | None = None) -> tuple[Model, float]:
@@ -68,11 +71,16 @@ def train_classifier(config: ClassifierConfig, labelled: Labelled, start: Model 
     return state.model, float(np.mean(losses[-max(config.steps // 10, 1) :]))
 
 
-def calibrate(model: Model, mean: Float[Array, "n"], variance: Float[Array, "n"], feasible: Bool[Array, "n"]) -> Model:
+def calibrate(
+    model: Model, mean: Float[AnyArray, "n"], variance: Float[AnyArray, "n"], feasible: Bool[AnyArray, "n"]
+) -> Model:
     """The model with its latent f replaced by a f + b, most likely for rollouts that it has not learnt from (host).
 
     Args:
+        model: with a kernel that relates the fidelities.
         mean: posterior of f at those rollouts, as is ``variance``.
+        variance: see ``mean``.
+        feasible: whether they were tracked.
     """
     positive = np.asarray(feasible)
 
@@ -91,25 +99,26 @@ def calibrate(model: Model, mean: Float[Array, "n"], variance: Float[Array, "n"]
 
 
 @functools.cache
-def _build_advance(steps: int, learning_rate: float) -> Callable[..., tuple[_State, Array]]:
+def _build_advance(steps: int, learning_rate: float) -> _Advance:
     """A step of training, compiled once for all that are trained alike."""
     optimiser = _optimiser(steps, learning_rate)
 
-    def loss(model: Model, drawn: Labelled, size: Array) -> Array:
-        return -lower_bound(model.process, model.inputs(drawn.motion), drawn.feasible, size)
+    def loss(model: Model, drawn: Labelled, size: Int[Array, ""]) -> Float[Array, ""]:
+        return -lower_bound(model.process, model.inputs(drawn.motion), jnp.asarray(drawn.feasible), size)
 
     @jax.jit
-    def advance(state: _State, *data: Any) -> tuple[_State, Array]:
-        value, slope = jax.value_and_grad(loss)(state.model, *data)
-        change, memory = optimiser.update(slope, state.optimiser, state.model)
+    def advance(state: _State, drawn: Labelled, size: Int[Array, ""]) -> tuple[_State, Float[Array, ""]]:
+        value, slope = jax.value_and_grad(loss)(state.model, drawn, size)
+        with jax.numpy_dtype_promotion("standard"):  # optax counts steps in int32
+            change, memory = optimiser.update(slope, state.optimiser, state.model)
         return _State(optax.apply_updates(state.model, change), memory), value
 
     return advance
 
 
 def _draw(labelled: Labelled, count: int, rng: np.random.Generator) -> Labelled:
-    lanes = rng.integers(len(labelled.feasible), size=count)
-    return Labelled(labelled.motion[..., lanes], labelled.feasible[lanes])
+    drawn = rng.integers(len(labelled.feasible), size=count)
+    return Labelled(labelled.motion[..., drawn], labelled.feasible[drawn])
 
 
 def _optimiser(steps: int, learning_rate: float) -> optax.GradientTransformation:

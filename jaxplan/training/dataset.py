@@ -14,17 +14,18 @@ import math
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxplan.errors import FileError, InputError
+from jaxplan.errors import FileError
 from jaxplan.files import create_folder, write_atomically
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.precision import in_float64
 from jaxplan.training.labels import (
+    Fly,
     LabelConfig,
     Queries,
     rollout_slowdown,
@@ -43,16 +44,18 @@ from jaxplan.training.sequences import (
     take,
 )
 from jaxplan.training.worlds import random_world
+from jaxplan.validation import require_at_least
+from jaxplan.vehicle.identity import from_header, require_same_vehicle, to_header
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.params import Vehicle
 
-LANES = 512
+WIDTH = 512
 """Sequences that are labelled together."""
 ROOMS = 4
 REST_IN_ROOM, REPLAN_IN_ROOM = 96, 384
 """Sequences of each room."""
-FREE = LANES - ROOMS * REST_IN_ROOM
-SHARD_SIZE = LANES + ROOMS * REPLAN_IN_ROOM + LANES
+FREE = WIDTH - ROOMS * REST_IN_ROOM
+SHARD_SIZE = WIDTH + ROOMS * REPLAN_IN_ROOM + WIDTH
 HELD_OUT = 8
 """Every eighth shard, with all its rooms, is held out for tests."""
 RESPONSE = 2.0
@@ -69,13 +72,13 @@ class DatasetConfig:
     seed: int = 1
     """Seed of the rooms and sequences."""
     vehicle: str = "mfrl"
-    """A preset's name or a TOML file."""
+    """For whose limits and rollouts: a preset's name or a TOML file."""
     labels: LabelConfig = LabelConfig()
     """How the labels are searched."""
 
     def __post_init__(self) -> None:
-        if self.shards < 1 or self.seed < 0:
-            raise InputError(f"dataset: have {self.shards} shards and seed {self.seed}, want at least 1 and 0")
+        require_at_least("dataset", self, 1, "shards")
+        require_at_least("dataset", self, 0, "seed")
 
 
 class Shard(NamedTuple):
@@ -95,18 +98,28 @@ class Shard(NamedTuple):
     """Rotor-limit label [s] from there; zeros where there is none."""
 
 
-Labeller = Callable[[Queries], tuple[np.ndarray, np.ndarray]]
-Flyer = Callable[[Queries, Float[np.ndarray, "m b"]], SplineBatch]
-Each = Callable[[Callable[[int], Shard], list[int]], Iterator[tuple[int, Shard]]]
-"""Calls a function with each number and gives what it returns, in whatever order."""
+class Labeller(Protocol):
+    """The optimiser's durations at the rotors' limits."""
+
+    def __call__(self, queries: Queries, /) -> tuple[Float[np.ndarray, "m b"], Bool[np.ndarray, "b"]]:
+        """Durations [s], and whether there are any (host)."""
+
+
+class Each(Protocol):
+    """Whoever makes shards, in this process or in others."""
+
+    def __call__(self, make: Callable[[int], Shard], numbers: list[int], /) -> Iterator[tuple[int, Shard]]:
+        """Call ``make`` with each number and give number and shard, in whatever order."""
 
 
 def build_labels(vehicle: Vehicle, config: LabelConfig) -> Labeller:
+    """The rotor-limit labels of a vehicle, compiled once for each size of a batch."""
     compiled = jax.jit(lambda queries: rotor_limit_labels(vehicle, queries, config))
     return in_float64(lambda queries: jax.tree.map(np.asarray, compiled(queries)))
 
 
-def build_flights(config: LabelConfig) -> Flyer:
+def build_flights(config: LabelConfig) -> Fly:
+    """The planner's trajectories, compiled once for each size of a batch."""
     compiled = jax.jit(lambda queries, durations: trajectories(queries, durations, config.max_yaw_rate))
     return in_float64(lambda queries, durations: jax.tree.map(np.asarray, compiled(queries, durations)))
 
@@ -127,6 +140,7 @@ def make_dataset(
     """
     create_folder(folder)
     record = {"config": dataclasses.asdict(config), "shard_size": SHARD_SIZE, "held_out_every": HELD_OUT}
+    record["vehicle"] = to_header(load_vehicle(config.vehicle))
     stated = folder / "dataset.json"
     if stated.exists():
         held = read_config(folder)
@@ -134,6 +148,7 @@ def make_dataset(
             raise FileError(f"{folder}: holds a dataset of another configuration; choose another folder")
         if held.shards > config.shards:
             raise FileError(f"{folder}: is of {held.shards} shards, want no fewer than that, have {config.shards}")
+        dataset_vehicle(folder)
     write_atomically(stated, json.dumps(record, indent=1) + "\n")
     missing = [index for index in range(config.shards) if not shard_path(folder, index).exists()]
     for index, shard in each(functools.partial(flown_shard, config), missing):
@@ -148,11 +163,31 @@ def make_dataset(
 
 def read_config(folder: Path) -> DatasetConfig:
     """What the dataset in ``folder`` was made with."""
+    return _read_description(folder)[0]
+
+
+def dataset_vehicle(folder: Path) -> Vehicle:
+    """The vehicle that the dataset in ``folder`` was made for, and that all that is trained on it is for.
+
+    Raises:
+        FileError: there is no dataset.
+        InputError: the vehicle's file has other numbers now than when the dataset was made.
+    """
+    config, description = _read_description(folder)
+    vehicle = load_vehicle(config.vehicle)
+    if "vehicle" in description:  # else it is older than the entry
+        require_same_vehicle(f"dataset {folder}", from_header(description), vehicle)
+    return vehicle
+
+
+def _read_description(folder: Path) -> tuple[DatasetConfig, dict[str, Any]]:
+    """The configuration in ``dataset.json``, and all of that file."""
     stated = folder / "dataset.json"
     try:
-        config = json.loads(stated.read_text())["config"]
+        description = json.loads(stated.read_text())
+        config = description["config"]
         labels = LabelConfig(**{**config["labels"], "span": tuple(config["labels"]["span"])})
-        return DatasetConfig(**{**config, "labels": labels})
+        return DatasetConfig(**{**config, "labels": labels}), description
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise FileError(f"{stated}: is not a dataset's description ({error}); use jaxplan train dataset") from error
 
@@ -166,13 +201,13 @@ def flown_shard(config: DatasetConfig, index: int) -> Shard:
 
 
 @functools.lru_cache(maxsize=1)
-def _tools(config: DatasetConfig) -> tuple[Vehicle, Labeller, Flyer]:
+def _tools(config: DatasetConfig) -> tuple[Vehicle, Labeller, Fly]:
     """What is compiled once in a process."""
     vehicle = load_vehicle(config.vehicle)
     return vehicle, build_labels(vehicle, config.labels), build_flights(config.labels)
 
 
-def make_shard(config: DatasetConfig, index: int, label: Labeller, fly: Flyer) -> Shard:
+def make_shard(config: DatasetConfig, index: int, label: Labeller, fly: Fly) -> Shard:
     """Shard ``index`` of a dataset with the labels of the rotor limits, from its own seed."""
     rng = np.random.default_rng([config.seed, index])
     rooms: list[Room] = []
@@ -186,15 +221,15 @@ def make_shard(config: DatasetConfig, index: int, label: Labeller, fly: Flyer) -
     first = join([*rest, free_queries(rng, FREE)])
     durations, feasible = label(first)
     flights = fly(first, durations)
-    parts = [(first, durations, feasible, np.ones(LANES), np.zeros_like(durations))]
+    parts = [(first, durations, feasible, np.ones(WIDTH), np.zeros_like(durations))]
     moving = [_replans(room, rng, place, first, flights, feasible) for place, room in enumerate(rooms)]
-    free = np.arange(ROOMS * REST_IN_ROOM, LANES)
-    lanes = rng.choice(free[feasible[free]], LANES)
-    moving.append(suffix_queries(rng, take(first, lanes), jax.tree.map(lambda leaf: leaf[..., lanes], flights)))
+    free = np.arange(ROOMS * REST_IN_ROOM, WIDTH)
+    chosen = rng.choice(free[feasible[free]], WIDTH)
+    moving.append(suffix_queries(rng, take(first, chosen), jax.tree.map(lambda leaf: leaf[..., chosen], flights)))
     whole = join(moving)
-    for begin in range(0, whole.count.shape[0], LANES):
-        chunk = take(whole, np.arange(begin, begin + LANES))
-        alpha = np.exp(rng.uniform(-math.log(RESPONSE), math.log(RESPONSE), LANES))
+    for begin in range(0, whole.count.shape[0], WIDTH):
+        chunk = take(whole, np.arange(begin, begin + WIDTH))
+        alpha = np.exp(rng.uniform(-math.log(RESPONSE), math.log(RESPONSE), WIDTH))
         again, possible = label(sped_up(chunk, alpha))
         parts.append((chunk, *label(chunk), alpha, np.where(possible, again, 0.0)))
     chunks, labels, found, alphas, second = zip(*parts, strict=True)
@@ -212,15 +247,16 @@ def _replans(
     room: Room, rng: np.random.Generator, place: int, first: Queries, flights: SplineBatch, feasible: np.ndarray
 ) -> Queries:
     """Sequences from states in flight; sequences at rest again where the room is too full to find enough."""
-    lanes = np.arange(place * REST_IN_ROOM, (place + 1) * REST_IN_ROOM)
-    lanes = lanes[feasible[lanes]]
+    own = np.arange(place * REST_IN_ROOM, (place + 1) * REST_IN_ROOM)
+    own = own[feasible[own]]
     found = replan_queries(
-        room, rng, take(first, lanes), jax.tree.map(lambda leaf: leaf[..., lanes], flights), REPLAN_IN_ROOM
+        room, rng, take(first, own), jax.tree.map(lambda leaf: leaf[..., own], flights), REPLAN_IN_ROOM
     )
-    return found if found is not None else take(first, rng.choice(lanes, REPLAN_IN_ROOM))
+    return found if found is not None else take(first, rng.choice(own, REPLAN_IN_ROOM))
 
 
 def shard_path(folder: Path, index: int) -> Path:
+    """The file of a shard."""
     return folder / f"shard-{index:04d}.npz"
 
 
@@ -257,8 +293,10 @@ def read_shard(path: Path) -> Shard:
 
 
 def is_held_out(index: int) -> bool:
+    """Whether a shard is kept from training."""
     return index % HELD_OUT == HELD_OUT - 1
 
 
 def digest(path: Path) -> str:
+    """SHA-256 of a file."""
     return hashlib.sha256(path.read_bytes()).hexdigest()

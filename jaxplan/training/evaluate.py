@@ -1,7 +1,6 @@
 """How good a policy is: its times against the optimiser's, and whether the vehicle can follow what it plans."""
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,11 +13,13 @@ from jaxplan.feasibility.features import motion_features
 from jaxplan.policy.protocol import Policy
 from jaxplan.precision import in_float64
 from jaxplan.tracking.track import track
-from jaxplan.training.active import judged, perturbed
+from jaxplan.training.active import perturbed, probabilities
 from jaxplan.training.dataset import (
-    LANES,
+    WIDTH,
+    Labeller,
     build_flights,
     build_labels,
+    dataset_vehicle,
     is_held_out,
     read_config,
     read_shard,
@@ -27,7 +28,7 @@ from jaxplan.training.dataset import (
 from jaxplan.training.labels import LabelConfig, Queries, initial_states, sped_up
 from jaxplan.training.scores import binary_scores
 from jaxplan.training.sequences import join, take
-from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.identity import require_same_vehicle
 from jaxplan.vehicle.params import Vehicle
 
 ALPHAS = np.geomspace(0.5, 2.0, 7)
@@ -51,8 +52,11 @@ class Comparison:
     label_tracked: Bool[np.ndarray, "b"]
 
     def by_length(self) -> dict[int, dict[str, float]]:
-        """Times and shares of tracked flights for each number of waypoints: the mean of the relative times, and the
-        mean time relative to the labels' mean time, in which flights of centimetres do not weigh."""
+        """Times and shares of tracked flights for each number of waypoints.
+
+        The mean of the relative times, and the mean time relative to the labels' mean time, in which flights of
+        centimetres do not weigh.
+        """
         rows = {}
         for count in np.unique(self.counts):
             mine = self.counts == count
@@ -75,7 +79,16 @@ def policy_durations(policy: Policy, queries: Queries) -> Float[np.ndarray, "m b
 def compare(
     policy: Policy, vehicle: Vehicle, queries: Queries, labels: Float[np.ndarray, "m b"], config: LabelConfig
 ) -> Comparison:
-    """Fly the policy's and the labels' trajectories of the same sequences."""
+    """Fly the policy's and the labels' trajectories of the same sequences.
+
+    Args:
+        policy: made for this vehicle, or for any.
+        vehicle: that flies.
+        queries: the sequences.
+        labels: durations [s] to compare with.
+        config: how flights are solved.
+    """
+    require_same_vehicle(f"policy {policy.name!r}", policy.vehicle, vehicle)
     found = policy_durations(policy, queries)
     return Comparison(
         counts=np.asarray(queries.count),
@@ -86,9 +99,7 @@ def compare(
     )
 
 
-def response(
-    policy: Policy, queries: Queries, label: Callable[[Queries], tuple[np.ndarray, np.ndarray]]
-) -> Float[np.ndarray, "b"]:
+def response(policy: Policy, queries: Queries, label: Labeller) -> Float[np.ndarray, "b"]:
     """Correlation over ``ALPHAS`` of the policy's and the optimiser's log total times, for each sequence.
 
     Over those speeds from which the optimiser finds a flight; NaN where they are fewer than ``ENOUGH``.
@@ -103,8 +114,8 @@ def response(
     number = np.maximum(known.sum(axis=0), 1)
     a, b = (np.where(known, rows, 0.0) for rows in (mine, theirs))
     a, b = (np.where(known, rows - rows.sum(axis=0) / number, 0.0) for rows in (a, b))
-    spread = np.sqrt(np.sum(a**2, axis=0) * np.sum(b**2, axis=0))
-    return np.sum(a * b, axis=0) / np.where((spread > 0.0) & (number >= ENOUGH), spread, np.nan)
+    sizes = np.sqrt(np.sum(a**2, axis=0) * np.sum(b**2, axis=0))
+    return np.sum(a * b, axis=0) / np.where((sizes > 0.0) & (number >= ENOUGH), sizes, np.nan)
 
 
 def _tracked(
@@ -120,13 +131,13 @@ def score_policy(policy: Policy, data: Path, flights: int, seed: int = 0) -> dic
     limits.
     """
     held = load_held_out(data, flights, seed)
-    config, vehicle = read_config(data).labels, load_vehicle(read_config(data).vehicle)
+    config, vehicle = read_config(data).labels, dataset_vehicle(data)
     found = compare(policy, vehicle, held.queries, held.slowed, config)
     deviation = np.abs(found.relative_time - 1.0)
     at_limit = found.relative_time * (held.slowed.sum(axis=0) / held.limits.sum(axis=0))
     limits_tracked = _tracked(vehicle, held.queries, held.limits, config)
-    moving = np.flatnonzero(np.linalg.norm(held.queries.derivatives[0], axis=0) > 0.5)[:LANES]
-    correlation = response(policy, take(held.queries, np.resize(moving, LANES)), build_labels(vehicle, config))
+    moving = np.flatnonzero(np.linalg.norm(held.queries.derivatives[0], axis=0) > 0.5)[:WIDTH]
+    correlation = response(policy, take(held.queries, np.resize(moving, WIDTH)), build_labels(vehicle, config))
     return {
         "sequences": len(found.counts),
         "relative_time": round(float(found.relative_time.mean()), 4),
@@ -149,12 +160,14 @@ def score_classifier(
     The policy's durations are multiplied by 0.8 to 1.15 with 5 % noise on each, as in training.
     """
     made, held = read_config(data), load_held_out(data, flights, seed)
-    vehicle, rng = load_vehicle(made.vehicle), np.random.default_rng(seed)
+    vehicle, rng = dataset_vehicle(data), np.random.default_rng(seed)
+    require_same_vehicle("classifier", classifier.vehicle, vehicle)
+    require_same_vehicle(f"policy {policy.name!r}", policy.vehicle, vehicle)
     tried = perturbed(policy_durations(policy, held.queries), (0.8, 1.15), 0.05, rng)
     splines = build_flights(made.labels)(held.queries, tried)
     motion = np.asarray(in_float64(jax.jit(motion_features))(splines, vehicle))
     feasible = np.asarray(track(splines, vehicle=vehicle, indices=10**6 + np.arange(len(tried.T))).feasible)
-    scores = binary_scores(judged(classifier, motion), feasible)
+    scores = binary_scores(probabilities(classifier, motion), feasible)
     return {"flights": len(feasible), "tracked": float(feasible.mean()), **scores}
 
 
@@ -174,7 +187,7 @@ def load_held_out(data: Path, count: int, seed: int) -> HeldOut:
     queries = join([shard.queries for shard in shards])
     durations = np.concatenate([shard.durations for shard in shards], axis=-1)
     slowdown = np.concatenate([shard.slowdown for shard in shards])
-    chosen = _even_lengths(queries.count, slowdown < np.inf, count, seed)
+    chosen = _even_lengths(np.asarray(queries.count), slowdown < np.inf, count, seed)
     factor = np.where(np.isfinite(slowdown), slowdown, 1.0)[chosen]
     return HeldOut(take(queries, chosen), durations[:, chosen], durations[:, chosen] * factor)
 
@@ -183,7 +196,7 @@ def _even_lengths(
     counts: Int[np.ndarray, "b"], good: Bool[np.ndarray, "b"], count: int, seed: int
 ) -> Int[np.ndarray, "n"]:
     """At most ``count`` of the good ones, rare lengths more likely."""
-    lanes = np.flatnonzero(good)
-    rarity = 1.0 / np.bincount(counts[lanes])[counts[lanes]]
+    possible = np.flatnonzero(good)
+    rarity = 1.0 / np.bincount(counts[possible])[counts[possible]]
     rng = np.random.default_rng(seed)
-    return rng.choice(lanes, min(count, len(lanes)), replace=False, p=rarity / rarity.sum())
+    return rng.choice(possible, min(count, len(possible)), replace=False, p=rarity / rarity.sum())

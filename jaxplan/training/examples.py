@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Float, Int, PRNGKeyArray
 
+from jaxplan.arrays import AnyArray
 from jaxplan.errors import FileError
 from jaxplan.knots import MAX_WAYPOINTS
 from jaxplan.spline import FlatStateBatch
@@ -21,13 +22,16 @@ SHORT = 7
 class Examples(NamedTuple):
     """Labelled sequences, batch axis last."""
 
-    waypoints: Float[Array, "n 3 b"]
-    count: Int[Array, "b"]
+    waypoints: Float[AnyArray, "n 3 b"]
+    """From where the vehicle is [m]; behind the last real one the goal is repeated."""
+    count: Int[AnyArray, "b"]  # type: ignore[assignment]  # hides tuple.count, which nobody calls
+    """Waypoints in use."""
     initial: FlatStateBatch
-    durations: Float[Array, "m b"]
-    alpha: Float[Array, "b"]
+    durations: Float[AnyArray, "m b"]
+    """The label [s]; m = n - 1."""
+    alpha: Float[AnyArray, "b"]
     """Factor by which the initial state is sped up for the second label."""
-    sped_up: Float[Array, "m b"]
+    sped_up: Float[AnyArray, "m b"]
     """Durations [s] from there; zeros where there is no second label."""
 
 
@@ -46,7 +50,7 @@ def load_examples(folder: Path, *, held_out: bool) -> Examples:
         state = FlatStateBatch(derivatives=derivatives, yaw=shard.queries.yaw)
         labels = shard.durations * slowdown, shard.alpha, shard.sped_up * slowdown
         example = Examples(waypoints, shard.queries.count, state, *labels)
-        parts.append(lanes_of(example, good))
+        parts.append(take_examples(example, np.flatnonzero(good)))
     if not parts:
         raise FileError(f"{folder}: has no {'held-out' if held_out else 'training'} shards; make more")
     return jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1), *parts)
@@ -55,13 +59,13 @@ def load_examples(folder: Path, *, held_out: bool) -> Examples:
 def batches(examples: Examples, size: int, seed: int, steps: Iterable[int]) -> Iterator[tuple[Examples, PRNGKeyArray]]:
     """Random batches of ``size``; the batch of a step depends on the seed and the step alone."""
     groups = [np.flatnonzero(examples.count <= SHORT), np.flatnonzero(examples.count > SHORT)]
-    chances = [_chances(examples.count[group]) for group in groups]
+    chances = [_chances(np.asarray(examples.count)[group]) for group in groups]
     for step in steps:
         rng = np.random.default_rng([seed, step])
         which = int(rng.random() < 0.5 and len(groups[1]) > 0) if len(groups[0]) else 1
-        lanes = groups[which][np.searchsorted(chances[which], rng.random(size))]
+        drawn = groups[which][np.searchsorted(chances[which], rng.random(size))]
         segments = (SHORT if which == 0 else MAX_WAYPOINTS) - 1
-        batch = lanes_of(examples, lanes)
+        batch = take_examples(examples, drawn)
         batch = batch._replace(
             waypoints=batch.waypoints[: segments + 1],
             durations=batch.durations[:segments],
@@ -76,9 +80,9 @@ def as_queries(examples: Examples) -> Queries:
     return Queries(examples.waypoints, examples.count, state.derivatives[1:], state.yaw)
 
 
-def lanes_of(examples: Examples, lanes: np.ndarray) -> Examples:
-    """Some of the examples."""
-    return jax.tree.map(lambda leaf: leaf[..., lanes], examples)
+def take_examples(examples: Examples, members: Int[np.ndarray, "n"]) -> Examples:
+    """Some of the examples, by their index."""
+    return jax.tree.map(lambda leaf: leaf[..., members], examples)
 
 
 def _chances(counts: Int[np.ndarray, "b"]) -> Float[np.ndarray, "b"]:

@@ -17,13 +17,14 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from jaxplan.arrays import AnyArray
 from jaxplan.arrival import sped_up
-from jaxplan.errors import InputError
 from jaxplan.minsnap.spline_batch import fit_each
 from jaxplan.policy.network import Bottleneck, PolicyNetwork
 from jaxplan.policy.neural import allocate_times, read_sequences
 from jaxplan.spline import FlatStateBatch
 from jaxplan.training.examples import Examples
+from jaxplan.validation import require_at_least, require_positive
 from jaxplan.vehicle.limits import thrust_limit_margin
 from jaxplan.vehicle.params import Vehicle
 
@@ -55,8 +56,8 @@ class ImitationConfig:
     """Largest yaw rate of the flights that are solved [rad/s]."""
 
     def __post_init__(self) -> None:
-        if not self.excess >= 0.0:
-            raise InputError(f"pretrain: excess is {self.excess}, want 0 or more")
+        require_at_least("pretrain", self, 0.0, "divergence", "total", "haste", "response", "growth", "excess")
+        require_positive("pretrain", self, "max_yaw_rate")
 
 
 def imitation_loss(
@@ -70,13 +71,21 @@ def imitation_loss(
     """Squared errors of the log-durations, of the log total time and its response, and what else counts.
 
     Trace it with 64-bit types: flights are solved in float64; the network stays in float32.
+
+    Args:
+        network: the policy's.
+        parameters: its weights.
+        batch: sequences and their labels.
+        key: draws which of them are mirrored, and the bottleneck's noise.
+        config: what counts how much.
+        vehicle: whose limits thrust may not exceed.
     """
     mirror_key, latent_key = jax.random.split(key)
     batch = _mirrored(batch, mirror_key)
     frame, memory, bottleneck = read_sequences(network, parameters, batch.waypoints, batch.count)
-    spread = jnp.exp(0.5 * bottleneck.log_variance)
-    noise = jax.random.normal(latent_key, spread.shape, spread.dtype)
-    memory = memory._replace(latent=bottleneck.mean + spread * noise)
+    deviation = jnp.exp(0.5 * bottleneck.log_variance)
+    noise = jax.random.normal(latent_key, deviation.shape, deviation.dtype)
+    memory = memory._replace(latent=bottleneck.mean + deviation * noise)
     known = jnp.sum(batch.sped_up, axis=0) > 0.0
     alpha = jnp.where(known, batch.alpha, batch.alpha**2)
     found = allocate_times(network, parameters, memory, frame, batch.initial)
@@ -117,7 +126,9 @@ def thrust_excess(
     return jnp.mean(beyond, axis=0) * jnp.sum(durations, axis=0)
 
 
-def _error(durations: Float[Array, "m b"], wanted: Float[Array, "m b"], config: ImitationConfig) -> Float[Array, "b"]:
+def _error(
+    durations: Float[Array, "m b"], wanted: Float[AnyArray, "m b"], config: ImitationConfig
+) -> Float[Array, "b"]:
     """Loss of each sequence."""
     real = durations > 0.0
     share = 0.5 * wanted / (jnp.sum(wanted, axis=0) + 1e-9) + 0.5 * real / jnp.sum(real, axis=0)
@@ -141,14 +152,14 @@ def _divergence(bottleneck: Bottleneck) -> Float[Array, "k"]:
     return 0.5 * jnp.sum(mean**2 + jnp.exp(log_variance) - 1.0 - log_variance, axis=0)
 
 
-def _huber(error: Float[Array, "..."]) -> Float[Array, "..."]:
+def _huber(error: Float[Array, "*b"]) -> Float[Array, "*b"]:
     """Squared where small, linear where a label is an outlier."""
     return optax.losses.huber_loss(error, delta=0.2)
 
 
-def _log(x: Float[Array, "..."]) -> Float[Array, "..."]:
+def _log(x: Float[AnyArray, "*b"]) -> Float[Array, "*b"]:
     return jnp.log(jnp.maximum(x, 1e-3))
 
 
-def _log_total(durations: Float[Array, "m b"]) -> Float[Array, "b"]:
+def _log_total(durations: Float[AnyArray, "m b"]) -> Float[Array, "b"]:
     return _log(jnp.sum(durations, axis=0))

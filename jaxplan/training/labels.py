@@ -6,14 +6,14 @@ says how much slower the flight must be for the simulated vehicle to just follow
 """
 
 import dataclasses
-from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxplan.arrays import AnyArray
 from jaxplan.minsnap.spline_batch import SplineBatch, fit_each
 from jaxplan.minsnap.time_allocation import TimeAllocationConfig, optimise_durations
 from jaxplan.spline import FlatStateBatch
@@ -49,14 +49,26 @@ class LabelConfig:
 class Queries(NamedTuple):
     """What a policy is asked, batch axis last."""
 
-    waypoints: Float[Array, "n 3 b"]
+    waypoints: Float[AnyArray, "n 3 b"]
     """The first is where the vehicle is [m]; behind the last real one the goal is repeated."""
-    count: Int[Array, "b"]
+    count: Int[AnyArray, "b"]  # type: ignore[assignment]  # hides tuple.count, which nobody calls
     """Waypoints in use."""
-    derivatives: Float[Array, "4 3 b"]
+    derivatives: Float[AnyArray, "4 3 b"]
     """Velocity to snap at the start [SI]."""
-    yaw: Float[Array, "3 b"]
+    yaw: Float[AnyArray, "3 b"]
     """Yaw, yaw rate and yaw acceleration at the start [rad, s]."""
+
+
+class Fly(Protocol):
+    """The planner's trajectories for given durations, on the host."""
+
+    def __call__(self, queries: Queries, durations: Float[np.ndarray, "m b"], /) -> SplineBatch:
+        """Trajectories of NumPy arrays, to rest at the goal, for durations [s]."""
+
+
+class _Inside(Protocol):
+    def __call__(self, durations: Float[Array, "m b"], /) -> Bool[Array, "b"]:
+        """Whether no rotor leaves its range in flights of these durations [s]."""
 
 
 def initial_states(queries: Queries) -> FlatStateBatch:
@@ -64,15 +76,15 @@ def initial_states(queries: Queries) -> FlatStateBatch:
     return FlatStateBatch(derivatives=jnp.concatenate([queries.waypoints[:1], queries.derivatives]), yaw=queries.yaw)
 
 
-def sped_up(queries: Queries, alpha: Float[np.ndarray, "b"] | float) -> Queries:
+def sped_up(queries: Queries, alpha: Float[AnyArray, "b"] | float) -> Queries:
     """The same sequences from alpha D: derivatives of order k times alpha^k (``jaxplan.arrival``; host)."""
     powers = np.broadcast_to(alpha, np.shape(queries.count)) ** np.arange(5)[:, None]
     return queries._replace(derivatives=queries.derivatives * powers[1:, None], yaw=queries.yaw * powers[:3])
 
 
-def trajectories(queries: Queries, durations: Float[Array, "m b"], max_yaw_rate: float) -> SplineBatch:
-    """The planner's trajectories for these durations, to rest at the goal."""
-    return fit_each(initial_states(queries), queries.waypoints, durations, max_yaw_rate)
+def trajectories(queries: Queries, durations: Float[AnyArray, "m b"], max_yaw_rate: float) -> SplineBatch:
+    """The planner's trajectories for these durations [s], to rest at the goal, at most at ``max_yaw_rate`` [rad/s]."""
+    return fit_each(initial_states(queries), jnp.asarray(queries.waypoints), jnp.asarray(durations), max_yaw_rate)
 
 
 def rotor_limit_labels(
@@ -84,7 +96,7 @@ def rotor_limit_labels(
     near them, the flight may use half of what is left.
     """
     count = queries.waypoints.shape[0] - 1
-    real = jnp.arange(count)[:, None] < queries.count - 1
+    real = jnp.arange(count)[:, None] < (queries.count - 1)[None]
     durations = jnp.where(real, _first_guess(queries), 0.0)
     initial = _initial_margin(vehicle, queries)
     threshold = jnp.minimum(config.reserve, 0.5 * initial)
@@ -98,7 +110,7 @@ def rotor_limit_labels(
         ratios = _smoothest(queries, jnp.sum(durations, axis=0))
         shorter, found = _shortest(inside, jnp.where(real, ratios, 0.0), config)
         better = found & ~(feasible & (jnp.sum(durations, axis=0) <= jnp.sum(shorter, axis=0)))
-        durations, feasible = jnp.where(better, shorter, durations), feasible | found
+        durations, feasible = jnp.where(better[None], shorter, durations), feasible | found
     return durations, feasible & (initial > 0.0)
 
 
@@ -107,12 +119,19 @@ def rollout_slowdown(
     queries: Queries,
     durations: Float[np.ndarray, "m b"],
     feasible: Bool[np.ndarray, "b"],
-    fly: Callable[[Queries, Float[np.ndarray, "m b"]], SplineBatch],
+    fly: Fly,
 ) -> Float[np.ndarray, "b"]:
     """The least of ``SLOWDOWNS`` by which ``durations`` are multiplied for the vehicle to track the flight (host).
 
     Thresholds of training (0.20 m, 15 degrees), default noise. Infinite where even the last one is too fast; NaN
     where there is no label to begin with.
+
+    Args:
+        vehicle: that is simulated.
+        queries: the sequences.
+        durations: their labels at the rotors' limits [s].
+        feasible: whether there is a label.
+        fly: solves them.
     """
     slowdown = np.where(feasible, np.inf, np.nan)
     for factor in SLOWDOWNS:
@@ -120,7 +139,7 @@ def rollout_slowdown(
         if len(left) == 0:
             break
         flights = fly(queries, factor * durations)
-        some = jax.tree.map(lambda leaf, lanes=left: np.asarray(leaf)[..., lanes], flights)
+        some = jax.tree.map(lambda leaf, members=left: np.asarray(leaf)[..., members], flights)
         tracked = track(some, vehicle=vehicle, indices=left).feasible
         slowdown[left[tracked]] = factor
     return slowdown
@@ -132,7 +151,7 @@ def _first_guess(queries: Queries) -> Float[Array, "m b"]:
     whole = jnp.sum(lengths, axis=0)
     speed = jnp.sqrt(jnp.sum(queries.derivatives[0] ** 2, axis=0))
     total = whole / 8.0 + jnp.sqrt(whole / 4.0) + speed / 8.0
-    return total * lengths / whole
+    return total[None] * lengths / whole[None]
 
 
 def _initial_margin(vehicle: Vehicle, queries: Queries) -> Float[Array, "b"]:
@@ -142,14 +161,13 @@ def _initial_margin(vehicle: Vehicle, queries: Queries) -> Float[Array, "b"]:
 def _smoothest(queries: Queries, total: Float[Array, "b"]) -> Float[Array, "m b"]:
     """Durations of least snap that add up to ``total``."""
     settings = TimeAllocationConfig(tolerance=1e-4, max_evaluations=40)
-    found = optimise_durations(
-        "fixed", None, settings, queries.waypoints, queries.count - 1, total, queries.derivatives, None
-    )
+    waypoints, segments, start = (jnp.asarray(a) for a in (queries.waypoints, queries.count - 1, queries.derivatives))
+    found = optimise_durations("fixed", None, settings, waypoints, segments, total, start, None)
     return found.durations
 
 
 def _shortest(
-    inside: Callable[[Float[Array, "m b"]], Bool[Array, "b"]], durations: Float[Array, "m b"], config: LabelConfig
+    inside: _Inside, durations: Float[Array, "m b"], config: LabelConfig
 ) -> tuple[Float[Array, "m b"], Bool[Array, "b"]]:
     """The least feasible multiple: a grid, then bisection below its first success (not monotone when moving)."""
     factors = jnp.asarray(np.geomspace(*config.span, config.grid), durations.dtype)
@@ -157,11 +175,18 @@ def _shortest(
     passed = jax.lax.map(lambda factor: inside(factor * durations), factors)
     high = factors[jnp.argmax(passed, axis=0)]
 
-    def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
+    def halve(_: Int[Array, ""], bracket: _Bracket) -> _Bracket:
         low, high = bracket
         middle = jnp.sqrt(low * high)
-        good = inside(middle * durations)
-        return jnp.where(good, low, middle), jnp.where(good, middle, high)
+        good = inside(middle[None] * durations)
+        return _Bracket(jnp.where(good, low, middle), jnp.where(good, middle, high))
 
-    _, high = jax.lax.fori_loop(0, config.bisections, halve, (high / step, high))
-    return high * durations, jnp.any(passed, axis=0)
+    _, high = jax.lax.fori_loop(0, config.bisections, halve, _Bracket(high / step, high))
+    return high[None] * durations, jnp.any(passed, axis=0)
+
+
+class _Bracket(NamedTuple):
+    """Factors between which the boundary lies: too fast, and slow enough."""
+
+    low: Float[Array, "b"]
+    high: Float[Array, "b"]

@@ -10,25 +10,28 @@ import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import serialization
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from jaxplan.errors import InputError
 from jaxplan.feasibility.classifier import Model, make_classifier, new_model
 from jaxplan.files import state_configuration, write_atomically
-from jaxplan.policy.network import NetworkConfig, PolicyNetwork
+from jaxplan.policy.checkpoint import TrainedPolicy
+from jaxplan.policy.network import PolicyNetwork
 from jaxplan.precision import in_float64
 from jaxplan.training import active
 from jaxplan.training.classifier import ClassifierConfig, Labelled, calibrate, train_classifier
-from jaxplan.training.examples import Examples, as_queries, batches, lanes_of
+from jaxplan.training.examples import Examples, as_queries, batches, take_examples
 from jaxplan.training.labels import LabelConfig
 from jaxplan.training.reinforce import Learner, ReinforceConfig, build_climb, log_durations, start_learning
 from jaxplan.training.scores import binary_scores
+from jaxplan.validation import require_at_least
+from jaxplan.vehicle.identity import require_same_vehicle
 from jaxplan.vehicle.params import Vehicle
 
 
@@ -66,9 +69,8 @@ class MfrlConfig:
     """Seed of sequences, noise and batches."""
 
     def __post_init__(self) -> None:
-        for name in ("first_steps", "first_labels", "rounds", "pool", "steps", "batch", "calibration"):
-            if getattr(self, name) < 1:
-                raise InputError(f"mfrl: {name} is {getattr(self, name)}, want 1 or more")
+        counts = ("first_steps", "first_labels", "rounds", "pool", "steps", "batch", "calibration")
+        require_at_least("mfrl", self, 1, *counts)
         if self.chosen + self.random > self.pool or min(self.chosen, self.random) < 0:
             raise InputError(f"mfrl: have {self.chosen} + {self.random} rollouts of a pool of {self.pool}, want fewer")
 
@@ -86,26 +88,35 @@ def reinforce(
     folder: Path,
     examples: Examples,
     vehicle: Vehicle,
-    network: NetworkConfig,
-    parameters: Any,
+    start: TrainedPolicy,
     config: MfrlConfig,
     labels: LabelConfig,
     report: Callable[[str], None] = print,
 ) -> Run:
-    """Reinforce a pretrained policy; goes on where ``folder`` was left.
+    """Reinforce a pretrained policy for a vehicle; goes on where ``folder`` was left.
 
     Args:
+        folder: of the run.
         examples: training sequences with their minimum-snap labels.
-        parameters: the pretrained weights.
+        vehicle: that the labels are for, and that flies.
+        start: the pretrained policy, which must be for the same vehicle.
+        config: how to train.
+        labels: how the labels were made.
+        report: takes a line of progress.
+
+    Raises:
+        InputError: ``start`` was made for another vehicle.
+        FileError: ``folder`` holds a run of another configuration.
     """
+    require_same_vehicle("pretrained policy", start.vehicle, vehicle)
     state_configuration(folder, dataclasses.asdict(config), may_differ=("rounds",))
-    climb = in_float64(build_climb(network, parameters, vehicle, config.reinforce))
-    durations = in_float64(jax.jit(lambda weights, some: jnp.exp(log_durations(PolicyNetwork(network), weights, some))))
-    airfield = _Airfield(config, examples, vehicle, active.build_solve(vehicle, labels), durations)
-    run = _resume(folder, Run(start_learning(parameters, config.reinforce), airfield.prior(parameters), 0))
+    climb = in_float64(build_climb(start.network, start.parameters, vehicle, config.reinforce))
+    trials = _Trials(config, examples, vehicle, active.build_solve(vehicle, labels), _build_durations(start))
+    first = Run(start_learning(start.parameters, config.reinforce), trials.prior(start.parameters), 0)
+    run = _resume(folder, first)
     for index in range(run.done, config.rounds):
-        row = _label(folder, index, run, airfield)
-        run = _teach(folder, index, run, config)
+        row = _collect_labels(folder, index, run, trials)
+        run = _fit_classifier(folder, index, run, config)
         classifier = make_classifier(run.model)
         learner, earned = run.learner, []
         steps = range(index * config.steps, (index + 1) * config.steps)
@@ -122,26 +133,35 @@ def reinforce(
             f"round {index + 1} of {config.rounds}: T / T_MS {means.relative_time:.3f}, P {means.probability:.3f}; "
             f"classifier on fresh rollouts: AUC {row['auc']:.3f}, Brier {row['brier']:.3f}"
         )
-    return run._replace(model=_calibrated(run, airfield))
+    return run._replace(model=_calibrated(run, trials))
 
 
-class _Airfield(NamedTuple):
-    """What flights of a policy are made of."""
+class _Durations(Protocol):
+    def __call__(self, parameters: Any, examples: Examples, /) -> Float[Array, "m n"]:
+        """The durations [s] that a policy with these weights gives."""
+
+
+def _build_durations(policy: TrainedPolicy) -> _Durations:
+    network = PolicyNetwork(policy.network)
+    return in_float64(jax.jit(lambda weights, some: jnp.exp(log_durations(network, weights, some))))
+
+
+class _Trials(NamedTuple):
+    """What trial flights of a policy are made of: sequences, durations with noise, and the solver."""
 
     config: MfrlConfig
     examples: Examples
     vehicle: Vehicle
     solve: active.Solve
-    durations: Callable[..., Float[np.ndarray, "m n"]]
-    """(weights, sequences): a policy's durations [s]."""
+    durations: _Durations
 
-    def try_out(self, parameters: Any, size: int, rng: np.random.Generator) -> active.Flights:
-        """Noisy flights of the present policy on random sequences."""
-        some = lanes_of(self.examples, rng.integers(len(self.examples.count), size=size))
-        filled = np.resize(np.arange(size), -(-size // active.LANES) * active.LANES)
+    def fly(self, parameters: Any, size: int, rng: np.random.Generator) -> active.Flights:
+        """``size`` flights on random sequences, with a policy's durations and noise on them."""
+        some = take_examples(self.examples, rng.integers(len(self.examples.count), size=size))
+        filled = np.resize(np.arange(size), -(-size // active.WIDTH) * active.WIDTH)
         parts = [
-            np.asarray(self.durations(parameters, lanes_of(some, lanes)), float)
-            for lanes in np.split(filled, len(filled) // active.LANES)
+            np.asarray(self.durations(parameters, take_examples(some, members)), float)
+            for members in np.split(filled, len(filled) // active.WIDTH)
         ]
         durations = np.concatenate(parts, axis=-1)[:, :size]
         tried = active.perturbed(durations, self.config.span, self.config.noise, rng)
@@ -149,34 +169,34 @@ class _Airfield(NamedTuple):
 
     def prior(self, parameters: Any) -> Model:
         """A classifier that has seen where a policy's flights lie, but no rollout."""
-        flights = self.try_out(parameters, active.LANES, np.random.default_rng([self.config.seed, 3]))
+        flights = self.fly(parameters, active.WIDTH, np.random.default_rng([self.config.seed, 3]))
         return new_model(self.config.classifier.inducing, self.config.seed, flights.motion)
 
 
-def _label(folder: Path, index: int, run: Run, airfield: _Airfield) -> dict[str, Any]:
+def _collect_labels(folder: Path, index: int, run: Run, trials: _Trials) -> dict[str, Any]:
     """Fly, choose, roll out and keep one round's labels; the classifier's scores on those taken at random."""
-    config, first = airfield.config, index == 0
+    config, first = trials.config, index == 0
     size = config.first_labels if first else config.pool
-    flights = airfield.try_out(run.learner.parameters, size, np.random.default_rng([config.seed, index, 1]))
-    believed = active.judged(make_classifier(run.model), flights.motion)
+    flights = trials.fly(run.learner.parameters, size, np.random.default_rng([config.seed, index, 1]))
+    believed = active.probabilities(make_classifier(run.model), flights.motion)
     unbiased = np.arange(size if first else config.random)
     chosen = np.arange(0) if first else len(unbiased) + active.least_certain(believed[len(unbiased) :], config.chosen)
-    lanes = np.concatenate([unbiased, chosen])
-    feasible = active.roll_out(flights, lanes, airfield.vehicle, seed=config.seed + index)
-    active.save_labels(_labels_of(folder, index), Labelled(flights.motion[..., lanes], feasible))
+    flown = np.concatenate([unbiased, chosen])
+    feasible = active.roll_out(flights, flown, trials.vehicle, seed=config.seed + index)
+    active.save_labels(_labels_of(folder, index), Labelled(flights.motion[..., flown], feasible))
     scores = binary_scores(believed[unbiased], feasible[: len(unbiased)])
-    return {"tracked_at_random": float(feasible[: len(unbiased)].mean()), "rollouts": len(lanes), **scores}
+    return {"tracked_at_random": float(feasible[: len(unbiased)].mean()), "rollouts": len(flown), **scores}
 
 
-def _calibrated(run: Run, airfield: _Airfield) -> Model:
+def _calibrated(run: Run, trials: _Trials) -> Model:
     """The final model, its probabilities set right on fresh rollouts of the final policy, unseen in training."""
-    config, size = airfield.config, airfield.config.calibration
-    flights = airfield.try_out(run.learner.parameters, size, np.random.default_rng([config.seed, config.rounds, 2]))
-    feasible = active.roll_out(flights, np.arange(size), airfield.vehicle, seed=config.seed + config.rounds)
+    config, size = trials.config, trials.config.calibration
+    flights = trials.fly(run.learner.parameters, size, np.random.default_rng([config.seed, config.rounds, 2]))
+    feasible = active.roll_out(flights, np.arange(size), trials.vehicle, seed=config.seed + config.rounds)
     return calibrate(run.model, *active.latents(run.model, flights.motion), feasible)
 
 
-def _teach(folder: Path, index: int, run: Run, config: MfrlConfig) -> Run:
+def _fit_classifier(folder: Path, index: int, run: Run, config: MfrlConfig) -> Run:
     """Train the classifier on all labels so far."""
     labelled = active.load_labels([_labels_of(folder, k) for k in range(index + 1)])
     settings = dataclasses.replace(config.classifier, seed=config.seed + index)

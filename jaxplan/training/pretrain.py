@@ -7,26 +7,25 @@ import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 from flax import serialization
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from jaxplan.errors import InputError
 from jaxplan.files import state_configuration, write_atomically
 from jaxplan.knots import MAX_WAYPOINTS
 from jaxplan.policy.features import SEGMENT_FEATURES, STATE_FEATURES
 from jaxplan.policy.network import NetworkConfig, PolicyNetwork
 from jaxplan.policy.neural import allocate_times, read_sequences
 from jaxplan.precision import in_float64
-from jaxplan.training.dataset import read_config
-from jaxplan.training.examples import Examples, batches, lanes_of, load_examples
+from jaxplan.training.dataset import dataset_vehicle
+from jaxplan.training.examples import Examples, batches, load_examples, take_examples
 from jaxplan.training.imitation import ImitationConfig, imitation_loss
-from jaxplan.vehicle.load import load_vehicle
+from jaxplan.validation import require_at_least, require_positive, require_within
 from jaxplan.vehicle.params import Vehicle
 
 
@@ -54,20 +53,27 @@ class PretrainConfig:
     """Seed of the weights and batches."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch", "evaluate_every", "patience"):
-            if getattr(self, name) < 1:
-                raise InputError(f"pretrain: {name} is {getattr(self, name)}, want 1 or more")
-        if not self.learning_rate > 0.0:
-            raise InputError(f"pretrain: learning_rate is {self.learning_rate}, want a positive number")
+        require_at_least("pretrain", self, 1, "steps", "batch", "evaluate_every", "patience")
+        require_positive("pretrain", self, "learning_rate")
+        require_within("pretrain", self, 0.0, 1.0, "average")
 
 
 class State(NamedTuple):
     """All that a training run changes."""
 
     parameters: Any
+    """Weights, a tree as Flax has it."""
     averaged: Any
-    optimiser: Any
-    step: Array
+    """Their running mean."""
+    optimiser: optax.OptState
+    step: Int[Array, ""]
+
+
+class Step(Protocol):
+    """One compiled gradient step."""
+
+    def __call__(self, state: State, batch: Examples, key: PRNGKeyArray, /) -> tuple[State, Float[Array, ""]]:
+        """The state after a step on ``batch``, and its loss before."""
 
 
 class Error(NamedTuple):
@@ -81,6 +87,13 @@ class Error(NamedTuple):
     """Mean magnitude over all lengths, each counted alike."""
 
 
+class Measure(Protocol):
+    """How far total times are from the labels."""
+
+    def __call__(self, parameters: Any, examples: Examples, /) -> Error:
+        """Errors of a policy with these weights (host)."""
+
+
 def start_training(config: PretrainConfig, start: Any = None) -> State:
     """Begin with weights ``start``, or with random ones."""
     network = PolicyNetwork(config.network)
@@ -91,20 +104,19 @@ def start_training(config: PretrainConfig, start: Any = None) -> State:
     return State(parameters, parameters, optimiser, jnp.int32(0))
 
 
-def build_step(
-    config: PretrainConfig, vehicle: Vehicle
-) -> Callable[[State, Examples, PRNGKeyArray], tuple[State, Array]]:
-    """One compiled gradient step on a batch."""
+def build_step(config: PretrainConfig, vehicle: Vehicle) -> Step:
+    """The gradient step for a vehicle, compiled once for each length of the sequences."""
     network, optimiser = PolicyNetwork(config.network), _optimiser(config)
 
     @jax.jit
-    def advance(state: State, batch: Examples, key: PRNGKeyArray) -> tuple[State, Array]:
+    def advance(state: State, batch: Examples, key: PRNGKeyArray) -> tuple[State, Float[Array, ""]]:
         cost = lambda p: imitation_loss(network, p, batch, key, config.imitation, vehicle)  # noqa: E731
         loss, slope = jax.value_and_grad(cost)(state.parameters)
-        change, optimiser_state = optimiser.update(slope, state.optimiser, state.parameters)
-        parameters = optax.apply_updates(state.parameters, change)
-        rate = jnp.minimum(config.average, (1.0 + state.step) / (10.0 + state.step))
-        averaged = optax.incremental_update(parameters, state.averaged, 1.0 - rate)
+        with jax.numpy_dtype_promotion("standard"):  # optax counts steps in int32
+            change, optimiser_state = optimiser.update(slope, state.optimiser, state.parameters)
+            parameters = optax.apply_updates(state.parameters, change)
+            rate = jnp.minimum(config.average, (1.0 + state.step) / (10.0 + state.step))
+            averaged = optax.incremental_update(parameters, state.averaged, 1.0 - rate)
         return State(parameters, averaged, optimiser_state, state.step + 1), loss
 
     return in_float64(advance)
@@ -113,14 +125,18 @@ def build_step(
 def pretrain(
     folder: Path, data: Path, config: PretrainConfig, report: Callable[[str], None] = print, start: Any = None
 ) -> tuple[State, Error]:
-    """Train until the end or until nothing improves; goes on where ``folder`` was left.
+    """Train for the dataset's vehicle until the end or until nothing improves; goes on where ``folder`` was left.
 
     Args:
-        start: weights that a new run begins with; random ones by default.
+        folder: of the run.
+        data: folder of the dataset.
+        config: how to train.
+        report: takes a line of progress.
+        start: weights that a new run begins with, of any vehicle's policy; random ones by default.
     """
     training, held_out = load_examples(data, held_out=False), load_examples(data, held_out=True)
     state, best, stale = _resume(folder, config, start)
-    advance = build_step(config, load_vehicle(read_config(data).vehicle))
+    advance = build_step(config, dataset_vehicle(data))
     measure = build_measure(config)
     for batch, key in batches(training, config.batch, config.seed, range(int(state.step), config.steps)):
         state, loss = advance(state, batch, key)
@@ -143,7 +159,7 @@ def pretrain(
     return state._replace(averaged=averaged), measure(averaged, held_out)
 
 
-def build_measure(config: PretrainConfig) -> Callable[[Any, Examples], Error]:
+def build_measure(config: PretrainConfig) -> Measure:
     """Errors of the total times, with the latent's mean."""
     network = PolicyNetwork(config.network)
 
@@ -155,8 +171,8 @@ def build_measure(config: PretrainConfig) -> Callable[[Any, Examples], Error]:
     def measure(parameters: Any, examples: Examples) -> Error:
         size = len(examples.count)
         found = [
-            np.asarray(totals(parameters, lanes_of(examples, lanes)))
-            for lanes in np.array_split(np.resize(np.arange(size), -(-size // 4096) * 4096), -(-size // 4096))
+            np.asarray(totals(parameters, take_examples(examples, some)))
+            for some in np.array_split(np.resize(np.arange(size), -(-size // 4096) * 4096), -(-size // 4096))
         ]
         relative = np.concatenate(found)[:size] / examples.durations.sum(axis=0) - 1.0
         lengths = np.unique(examples.count)

@@ -1,4 +1,4 @@
-"""Reinforcement of a policy with the feasibility classifier as its judge (paper, Sec. II-D; MFRL, Sec. III).
+"""Reinforcement of a policy by the feasibility classifier (paper, Sec. II-D; MFRL, Sec. III).
 
 Reward of one flight: r = (bonus + min(1 - T / T_MS, ceiling)) * P(feasible), where T_MS is the total time of the
 minimum-snap label. With bonus 0 and no ceiling it is the paper's; the predecessors add the bonus, which weighs safety
@@ -10,7 +10,7 @@ the same sequence as the baseline; ``gradient``, the reward's own gradient throu
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ from jaxplan.minsnap.spline_batch import SplineBatch, fit_each
 from jaxplan.policy.network import NetworkConfig, PolicyNetwork
 from jaxplan.policy.neural import allocate_times, read_sequences
 from jaxplan.training.examples import Examples
+from jaxplan.validation import require_at_least, require_positive
 from jaxplan.vehicle.params import Vehicle
 
 
@@ -59,20 +60,18 @@ class ReinforceConfig:
     def __post_init__(self) -> None:
         if self.method not in ("ppo", "gradient"):
             raise InputError(f"reinforce: method is {self.method!r}, want ppo or gradient")
-        for name in ("learning_rate", "deviation", "ratio", "max_yaw_rate"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(f"reinforce: {name} is {getattr(self, name)}, want a positive number")
-        for name in ("tries", "passes", "halved"):
-            if getattr(self, name) < 1:
-                raise InputError(f"reinforce: {name} is {getattr(self, name)}, want 1 or more")
+        require_positive("reinforce", self, "learning_rate", "deviation", "ratio", "max_yaw_rate")
+        require_at_least("reinforce", self, 1, "tries", "passes", "halved")
+        require_at_least("reinforce", self, 0.0, "anchor", "entropy")
 
 
 class Learner(NamedTuple):
     """All that reinforcement changes."""
 
     parameters: Any
+    """The policy's weights, a tree as Flax has it."""
     log_deviation: Float[Array, ""]
-    optimiser: Any
+    optimiser: optax.OptState
 
 
 class Return(NamedTuple):
@@ -83,9 +82,20 @@ class Return(NamedTuple):
     relative_time: Float[Array, ""]
 
 
-Judge = Callable[[SplineBatch], Float[Array, "b"]]
-"""Probabilities that flights are feasible."""
-Climb = Callable[[Learner, Classifier, Examples, PRNGKeyArray], tuple[Learner, Return]]
+class Probability(Protocol):
+    """What says whether flights can be tracked."""
+
+    def __call__(self, splines: SplineBatch, /) -> Float[Array, "b"]:
+        """P(tracked) of b flights (traced)."""
+
+
+class Climb(Protocol):
+    """One compiled step."""
+
+    def __call__(
+        self, learner: Learner, classifier: Classifier, batch: Examples, key: PRNGKeyArray, /
+    ) -> tuple[Learner, Return]:
+        """The learner after learning from ``batch``, and what the batch earned before."""
 
 
 def start_learning(parameters: Any, config: ReinforceConfig) -> Learner:
@@ -95,28 +105,32 @@ def start_learning(parameters: Any, config: ReinforceConfig) -> Learner:
 
 
 def build_climb(network: NetworkConfig, anchor: Any, vehicle: Vehicle, config: ReinforceConfig) -> Climb:
-    """One compiled step: batches are tried, judged and learnt from.
+    """One compiled step: batches are tried, classified and learnt from.
 
     Args:
+        network: sizes of the policy.
         anchor: the weights that the policy must not leave too far behind.
+        vehicle: that flies.
+        config: how to reinforce.
     """
     optimiser, decoder = _optimiser(config), PolicyNetwork(network)
 
     def update(learner: Learner, objective: Callable[..., Any]) -> tuple[Learner, Any]:
         trained = (learner.parameters, learner.log_deviation)
         slope, found = jax.grad(objective, has_aux=True)(trained)
-        change, memory = optimiser.update(slope, learner.optimiser, trained)
+        with jax.numpy_dtype_promotion("standard"):  # optax counts steps in int32
+            change, memory = optimiser.update(slope, learner.optimiser, trained)
         parameters, log_deviation = optax.apply_updates(trained, change)
         return Learner(parameters, log_deviation, memory), found
 
     @jax.jit
     def climb(learner: Learner, classifier: Classifier, batch: Examples, key: PRNGKeyArray) -> tuple[Learner, Return]:
         known = log_durations(decoder, anchor, batch)
-        judge = lambda splines: classifier.predict(splines, vehicle).probability  # noqa: E731
+        chance = lambda splines: classifier.predict(splines, vehicle).probability  # noqa: E731
         if config.method == "gradient":
-            direct = lambda trained: _gradient_loss(trained[0], known, decoder, judge, batch, config)  # noqa: E731
+            direct = lambda trained: _gradient_loss(trained[0], known, decoder, chance, batch, config)  # noqa: E731
             return update(learner, direct)
-        tries = _try(learner, decoder, judge, batch, key, config)
+        tries = _try(learner, decoder, chance, batch, key, config)
         for _ in range(config.passes):
             learner, found = update(learner, lambda trained: _ppo_loss(trained, tries, known, decoder, batch, config))
         return learner, found
@@ -132,12 +146,19 @@ def log_durations(network: PolicyNetwork, parameters: Any, batch: Examples) -> F
 
 
 def rewards(
-    judge: Judge, batch: Examples, logs: Float[Array, "m b"], config: ReinforceConfig
+    chance: Probability, batch: Examples, logs: Float[Array, "m b"], config: ReinforceConfig
 ) -> tuple[Float[Array, "b"], Float[Array, "b"], Float[Array, "b"]]:
-    """Reward, probability to be feasible, and T / T_MS of each flight."""
+    """Reward, probability to be feasible, and T / T_MS of each flight.
+
+    Args:
+        chance: the classifier, for one vehicle.
+        batch: sequences with their labels, whose total times are T_MS.
+        logs: logarithms of the durations [s] that are flown.
+        config: what is rewarded.
+    """
     durations = jnp.where(batch.durations > 0.0, jnp.exp(logs.astype(batch.waypoints.dtype)), 0.0)
-    splines = fit_each(batch.initial, batch.waypoints, durations, config.max_yaw_rate)
-    feasible = judge(splines)
+    splines = fit_each(batch.initial, jnp.asarray(batch.waypoints), durations, config.max_yaw_rate)
+    feasible = chance(splines)
     relative = jnp.sum(durations, axis=0) / jnp.sum(batch.durations, axis=0)
     return (config.bonus + jnp.minimum(1.0 - relative, config.ceiling)) * feasible, feasible, relative
 
@@ -155,12 +176,12 @@ def _gradient_loss(
     parameters: Any,
     known: Float[Array, "m b"],
     network: PolicyNetwork,
-    judge: Judge,
+    chance: Probability,
     batch: Examples,
     config: ReinforceConfig,
 ) -> tuple[Float[Array, ""], Return]:
     logs = log_durations(network, parameters, batch)
-    reward, feasible, relative = rewards(judge, batch, logs, config)
+    reward, feasible, relative = rewards(chance, batch, logs, config)
     loss = -jnp.mean(reward) + config.anchor * _divergence(logs, known, config.deviation)
     return loss, Return(jnp.mean(reward), jnp.mean(feasible), jnp.mean(relative))
 
@@ -168,16 +189,16 @@ def _gradient_loss(
 def _try(
     learner: Learner,
     network: PolicyNetwork,
-    judge: Judge,
+    chance: Probability,
     batch: Examples,
     key: PRNGKeyArray,
     config: ReinforceConfig,
 ) -> _Tries:
     mean = log_durations(network, learner.parameters, batch)
     noise = jax.random.normal(key, (config.tries, *mean.shape), mean.dtype)
-    logs = mean + jnp.exp(learner.log_deviation) * noise * (batch.durations > 0.0)
-    reward, feasible, relative = jax.lax.map(lambda one: rewards(judge, batch, one, config), logs)
-    advantage = reward - jnp.mean(reward, axis=0)
+    logs = mean[None] + jnp.exp(learner.log_deviation) * noise * (batch.durations > 0.0)[None]
+    reward, feasible, relative = jax.lax.map(lambda one: rewards(chance, batch, one, config), logs)
+    advantage = reward - jnp.mean(reward, axis=0, keepdims=True)
     advantage = advantage / (jnp.std(advantage) + 1e-6)
     likelihood = _log_likelihood(logs, mean, learner.log_deviation, batch)
     return _Tries(logs, likelihood, advantage, Return(jnp.mean(reward), jnp.mean(feasible), jnp.mean(relative)))
@@ -205,8 +226,8 @@ def _log_likelihood(
     logs: Float[Array, "t m b"], mean: Float[Array, "m b"], log_deviation: Float[Array, ""], batch: Examples
 ) -> Float[Array, "t b"]:
     """Of normal distributions about ``mean``, without their constant."""
-    each = -0.5 * ((logs - mean) * jnp.exp(-log_deviation)) ** 2 - log_deviation
-    return jnp.sum(jnp.where(batch.durations > 0.0, each, 0.0), axis=-2)
+    each = -0.5 * ((logs - mean[None]) * jnp.exp(-log_deviation)) ** 2 - log_deviation
+    return jnp.sum(jnp.where((batch.durations > 0.0)[None], each, 0.0), axis=-2)
 
 
 def _divergence(logs: Float[Array, "m b"], known: Float[Array, "m b"], deviation: float) -> Float[Array, ""]:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxplan.knots import MAX_WAYPOINTS, KnotConfig, select_routes
 from jaxplan.minsnap.spline_batch import SplineBatch
@@ -38,6 +38,7 @@ class Room(NamedTuple):
 
 
 def open_room(world: World) -> Room:
+    """Search a world's lattices once."""
     return Room(world, build_lattices(world, SearchConfig(padding=PADDING)))
 
 
@@ -49,11 +50,11 @@ def rest_queries(room: Room, rng: np.random.Generator, count: int) -> Queries | 
         found = _routed(room, rng, start, _places(room, rng, GOALS_PER_SEARCH))
         if found is None:
             continue
-        lanes = found.waypoints.shape[-1]
-        yaw = np.zeros((3, lanes))
+        width = found.waypoints.shape[-1]
+        yaw = np.zeros((3, width))
         step = found.waypoints[1] - found.waypoints[0]
-        along = rng.random(lanes) < 0.5
-        yaw[0] = np.where(along, np.arctan2(step[1], step[0]), rng.uniform(-np.pi, np.pi, lanes))
+        along = rng.random(width) < 0.5
+        yaw[0] = np.where(along, np.arctan2(step[1], step[0]), rng.uniform(-np.pi, np.pi, width))
         parts.append(found._replace(yaw=yaw))
         if sum(part.waypoints.shape[-1] for part in parts) >= count:
             return take(join(parts), np.arange(count))
@@ -71,7 +72,7 @@ def replan_queries(
         goal = flown.waypoints[-1, :, lane]
         goals = goal + rng.normal(size=(GOALS_PER_SEARCH, 3)) * rng.choice([0.05, 1.0, 3.0]) * [1.0, 1.0, 0.3]
         goals[-GOALS_PER_SEARCH // 4 :] = _places(room, rng, GOALS_PER_SEARCH // 4)
-        found = _routed(room, rng, state.pos, goals)
+        found = _routed(room, rng, np.asarray(state.pos), goals)
         if found is None:
             continue
         parts.append(in_flight(found, state, rng))
@@ -115,20 +116,22 @@ def suffix_queries(rng: np.random.Generator, flown: Queries, flights: SplineBatc
 
 def in_flight(found: Queries, state: FlatState, rng: np.random.Generator) -> Queries:
     """The same sequences from a state in flight, in part sped up or slowed down as the arrival matching does."""
-    lanes = found.waypoints.shape[-1]
+    width = found.waypoints.shape[-1]
     alpha = np.where(
-        rng.random(lanes) < 0.4, 1.0, np.exp(rng.uniform(math.log(SPEED_UP[0]), math.log(SPEED_UP[1]), lanes))
+        rng.random(width) < 0.4, 1.0, np.exp(rng.uniform(math.log(SPEED_UP[0]), math.log(SPEED_UP[1]), width))
     )
-    derivatives = np.repeat(state.derivatives[1:, :, None], lanes, axis=-1)
-    return sped_up(found._replace(derivatives=derivatives, yaw=np.repeat(state.yaw[:, None], lanes, axis=-1)), alpha)
+    derivatives = np.repeat(state.derivatives[1:, :, None], width, axis=-1)
+    return sped_up(found._replace(derivatives=derivatives, yaw=np.repeat(state.yaw[:, None], width, axis=-1)), alpha)
 
 
 def join(parts: list[Queries]) -> Queries:
+    """All of them, one batch after the other."""
     return Queries(*(np.concatenate(leaves, axis=-1) for leaves in zip(*parts, strict=True)))
 
 
-def take(queries: Queries, lanes: Int[np.ndarray, "n"]) -> Queries:
-    return Queries(*(leaf[..., lanes] for leaf in queries))
+def take(queries: Queries, members: Int[np.ndarray, "n"]) -> Queries:
+    """Some of the sequences, by their index."""
+    return Queries(*(leaf[..., members] for leaf in queries))
 
 
 def _places(room: Room, rng: np.random.Generator, count: int) -> Float[np.ndarray, "n 3"]:
@@ -146,24 +149,25 @@ def _routed(
     if not len(good):
         return None
     waypoints, counts = _knots(paths.points, rng.uniform(0.3, 1.0))
-    lanes = len(good)
     return Queries(
         np.moveaxis(np.asarray(waypoints)[good], 0, -1),
         np.asarray(counts)[good],
-        np.zeros((4, 3, lanes)),
-        np.zeros((3, lanes)),
+        np.zeros((4, 3, len(good))),
+        np.zeros((3, len(good))),
     )
 
 
 @in_float64
-def _knots(paths: Float[np.ndarray, "k l 3"], share: float) -> tuple:
+def _knots(paths: Float[np.ndarray, "k l 3"], share: float) -> tuple[Float[Array, "k n 3"], Int[Array, "k"]]:
     """Most paths whole, one in four cut as an approach does."""
     shares = np.where(np.arange(len(paths)) % 4 == 0, share, 1.0)
     return _select_all(paths, shares)
 
 
 @jax.jit
-def _select_all(paths: Float[np.ndarray, "k l 3"], shares: Float[np.ndarray, "k"]) -> tuple:
+def _select_all(
+    paths: Float[Array, "k l 3"], shares: Float[Array, "k"]
+) -> tuple[Float[Array, "k n 3"], Int[Array, "k"]]:
     routes = select_routes(paths, KnotConfig(), shares)
     return routes.knots.waypoints, routes.knots.count
 

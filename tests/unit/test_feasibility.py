@@ -31,8 +31,8 @@ from jaxplan.feasibility.gaussian_process import (
     lower_bound,
     marginals,
     new_process,
+    posterior,
     predict,
-    prepare,
     probability,
     rbf,
     related,
@@ -70,7 +70,7 @@ def test_marginals_follow_their_definition(kernel):
     variance = prior - (weights**2).sum(axis=0) + ((root.T @ weights) ** 2).sum(axis=0)
     for found in (
         marginals(process, jnp.asarray(x, jnp.float32)),
-        predict(prepare(process), jnp.asarray(x, jnp.float32)),
+        predict(posterior(process), jnp.asarray(x, jnp.float32)),
     ):
         np.testing.assert_allclose(found[0], mean, atol=5e-3)
         np.testing.assert_allclose(found[1], variance, atol=2e-2)
@@ -218,17 +218,17 @@ def test_a_classifier_learns_from_the_low_fidelity_and_is_the_same_from_its_file
     config = ClassifierConfig(inducing=16, steps=400, batch=128, learning_rate=1e-2)
     model, loss = train_classifier(config, seen)
     assert np.isfinite(loss)
-    found = make_classifier(model).judge(jnp.asarray(unseen.motion))
+    found = make_classifier(model).predict_motion(jnp.asarray(unseen.motion))
     scores = binary_scores(np.asarray(found.probability, float), unseen.feasible)
     assert scores["auc"] > 0.9
     assert scores["brier"] < 0.15
     assert (np.asarray(found.deviation) > 0.0).all()
     blind, _ = train_classifier(dataclasses.replace(config, related_to_low=False), seen)
-    guessed = make_classifier(blind).judge(jnp.asarray(unseen.motion)).probability
+    guessed = make_classifier(blind).predict_motion(jnp.asarray(unseen.motion)).probability
     assert area_under_curve(np.asarray(guessed, float), unseen.feasible) < 0.6
     path = tmp_path / "mine.npz"
-    save_classifier(path, model, {"command": "none"})
-    again = load_classifier(path).judge(jnp.asarray(unseen.motion))
+    save_classifier(path, model, {"command": "none"}, vehicle=load_vehicle())
+    again = load_classifier(path).predict_motion(jnp.asarray(unseen.motion))
     np.testing.assert_array_equal(found.probability, again.probability)
     assert classifier_card(path)["command"] == "none"
     content = bytearray(path.read_bytes())

@@ -10,8 +10,8 @@ from jaxplan.feasibility.gaussian_process import (
     divergence,
     expected_log_likelihood,
     new_process,
+    posterior,
     predict,
-    prepare,
     probability,
     related,
 )
@@ -63,7 +63,7 @@ def jitter_of(process):
 def test_posterior_and_divergence_are_those_of_gpjax(process):
     family = peer(process)
     x = jnp.asarray(np.random.default_rng(1).uniform(-2, 2, (40, LATENT + LOW)))
-    mean, variance = predict(prepare(process), x)
+    mean, variance = predict(posterior(process), x)
     theirs = family.predict(x)
     np.testing.assert_allclose(mean, theirs.mean.ravel(), atol=1e-6)
     np.testing.assert_allclose(variance, jnp.diag(theirs.covariance_matrix) - jitter_of(process), atol=1e-6)

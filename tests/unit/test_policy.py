@@ -18,6 +18,7 @@ from jaxplan.policy.features import SEGMENT_FEATURES, STATE_FEATURES, segment_fe
 from jaxplan.policy.network import NetworkConfig, PolicyNetwork
 from jaxplan.policy.neural import neural_policy
 from jaxplan.spline import FlatStateBatch
+from jaxplan.vehicle.load import load_vehicle
 from jaxplan.weights import signed
 
 CONFIG = NetworkConfig(hidden=16, attention=8, latent=4)
@@ -128,7 +129,9 @@ def test_features_have_their_stated_shapes():
 
 def test_checkpoints_come_back_as_they_were(tmp_path, policy):
     path = tmp_path / "mine.npz"
-    save_policy(path, CONFIG, random_parameters(), {"command": "none", "scores": {"error": 1.0}})
+    save_policy(
+        path, CONFIG, random_parameters(), {"command": "none", "scores": {"error": 1.0}}, vehicle=load_vehicle()
+    )
     loaded = load_policy(path)
     given = sequences([4, 8, 14])
     np.testing.assert_array_equal(durations(loaded, *given), durations(policy, *given))
@@ -138,7 +141,7 @@ def test_checkpoints_come_back_as_they_were(tmp_path, policy):
 
 def test_one_flipped_bit_anywhere_is_refused_by_name(tmp_path):
     path = tmp_path / "mine.npz"
-    save_policy(path, CONFIG, random_parameters(), {})
+    save_policy(path, CONFIG, random_parameters(), {}, vehicle=load_vehicle())
     content = path.read_bytes()
     rng = np.random.default_rng(0)
     for place in (0, len(content) - 1, *rng.choice(len(content), 60, replace=False)):
@@ -152,7 +155,7 @@ def test_one_flipped_bit_anywhere_is_refused_by_name(tmp_path):
 @pytest.mark.parametrize(("change", "expected"), [("format", "format 99"), ("network", "fit"), ("golden", "durations")])
 def test_foreign_checkpoints_are_refused(tmp_path, change, expected):
     path = tmp_path / "other.npz"
-    save_policy(path, CONFIG, random_parameters(), {})
+    save_policy(path, CONFIG, random_parameters(), {}, vehicle=load_vehicle())
     with np.load(path) as data:
         arrays = dict(data)
     header = json.loads(arrays.pop("header").tobytes())

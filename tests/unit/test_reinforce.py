@@ -14,6 +14,7 @@ from jaxplan.feasibility.classifier import make_classifier, new_model
 from jaxplan.feasibility.features import LOW_FIDELITIES, motion_features
 from jaxplan.feasibility.gaussian_process import Related, rbf
 from jaxplan.minsnap.spline_batch import fit_each
+from jaxplan.policy.checkpoint import TrainedPolicy
 from jaxplan.policy.network import NetworkConfig
 from jaxplan.spline import FlatStateBatch
 from jaxplan.training.active import least_certain, perturbed
@@ -23,6 +24,7 @@ from jaxplan.training.labels import LabelConfig
 from jaxplan.training.mfrl import MfrlConfig, reinforce
 from jaxplan.training.pretrain import PretrainConfig, start_training
 from jaxplan.training.reinforce import ReinforceConfig, build_climb, rewards, start_learning
+from jaxplan.vehicle.identity import identify
 from jaxplan.vehicle.load import load_vehicle
 
 NETWORK = NetworkConfig(hidden=8, attention=4, latent=2)
@@ -69,14 +71,14 @@ def test_the_reward_is_probability_times_saved_time(examples, classifier):
     with jax.enable_x64(True):
         some = jax.tree.map(jnp.asarray, examples)
         splines = fit_each(some.initial, some.waypoints, 0.9048374180359595 * some.durations, 1.5)
-        judge = lambda splines: classifier.predict(splines, load_vehicle()).probability  # noqa: E731
-        chance = np.asarray(judge(splines))
+        probability = lambda splines: classifier.predict(splines, load_vehicle()).probability  # noqa: E731
+        chance = np.asarray(probability(splines))
         for config, gain in (
             (ReinforceConfig(bonus=0.0), 1.0 - np.exp(-0.1)),
             (ReinforceConfig(bonus=0.2), 1.2 - np.exp(-0.1)),
             (ReinforceConfig(bonus=0.1, ceiling=0.05), 0.15),
         ):
-            found, feasible, relative = rewards(judge, some, jnp.asarray(logs), config)
+            found, feasible, relative = rewards(probability, some, jnp.asarray(logs), config)
             np.testing.assert_allclose(feasible, chance, atol=1e-5)
             np.testing.assert_allclose(relative, np.exp(-0.1), rtol=1e-6)
             np.testing.assert_allclose(found, gain * chance, atol=1e-5)
@@ -167,9 +169,10 @@ def test_a_run_that_was_cut_off_ends_as_one_that_was_not(tmp_path, examples, par
         calibration=64,
     )
     vehicle = load_vehicle()
+    start = TrainedPolicy(NETWORK, parameters, identify(vehicle))
 
     def run(folder, report=lambda text: None, config=config):
-        return reinforce(folder, examples, vehicle, NETWORK, parameters, config, LabelConfig(), report)
+        return reinforce(folder, examples, vehicle, start, config, LabelConfig(), report)
 
     def stop(text):
         raise KeyboardInterrupt
@@ -186,4 +189,4 @@ def test_a_run_that_was_cut_off_ends_as_one_that_was_not(tmp_path, examples, par
     assert [row["round"] for row in rows] == [1, 2]
     assert {"auc", "brier", "relative_time", "probability", "rollouts"} <= set(rows[0])
     with pytest.raises(InputError, match="another configuration"):
-        reinforce(tmp_path / "cut", examples, vehicle, NETWORK, parameters, MfrlConfig(), LabelConfig())
+        reinforce(tmp_path / "cut", examples, vehicle, start, MfrlConfig(), LabelConfig())

@@ -28,7 +28,7 @@ from jaxplan.training.dataset import (
     shard_path,
     write_shard,
 )
-from jaxplan.training.examples import lanes_of, load_examples
+from jaxplan.training.examples import load_examples, take_examples
 from jaxplan.training.imitation import ImitationConfig, growth_shortfall, imitation_loss, thrust_excess
 from jaxplan.training.labels import LabelConfig, Queries, rollout_slowdown
 from jaxplan.training.pretrain import PretrainConfig, pretrain, start_training
@@ -220,7 +220,7 @@ def test_training_goes_on_from_given_weights(tmp_path, data):
 @pytest.fixture
 def loss(data, x64):
     """(examples, weights): the loss of a policy with random weights; and some examples."""
-    examples = jax.tree.map(jnp.asarray, lanes_of(load_examples(data, held_out=True), np.arange(64)))
+    examples = jax.tree.map(jnp.asarray, take_examples(load_examples(data, held_out=True), np.arange(64)))
     network, parameters = PolicyNetwork(SMALL.network), start_training(SMALL).parameters
 
     def value(examples, **weights):
