@@ -14,7 +14,8 @@ from jaxplan.interception import Episode, Scenario
 from jaxplan.io.targets import Target, load_target, stored_targets
 from jaxplan.planner import Planner, build_planner
 from jaxplan.policy.checkpoint import WEIGHTS
-from jaxplan.prediction.predictors import StepPredictor, build_predictor
+from jaxplan.prediction.predictors import build_predictor
+from jaxplan.prediction.protocol import PredictionConfig, StepPredictor
 from jaxplan.prediction.target_model import shipped_model
 from jaxplan.replanner import Replanner
 from jaxplan.tracking.rollout import Plant, build_plant
@@ -109,7 +110,7 @@ def _fly(scenario: Scenario, episode: EpisodeConfig, target: Target) -> Episode:
 
 
 def _predictor(scenario: Scenario, episode: EpisodeConfig, target: Target) -> StepPredictor:
-    config, name = interception.prediction_config(scenario.world), episode.predictor
+    config, name = PredictionConfig.for_world(scenario.world), episode.predictor
     sigma = _sigma(name)
     if sigma:
         config, name = dataclasses.replace(config, sigma=sigma), "noisy"

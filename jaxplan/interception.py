@@ -20,7 +20,8 @@ from jaxplan.policy.checkpoint import load_policy
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.precision import in_float64
 from jaxplan.prediction.observations import Observations
-from jaxplan.prediction.predictors import PredictionConfig, StepPredictor, build_predictor
+from jaxplan.prediction.predictors import PREDICTORS, build_predictor
+from jaxplan.prediction.protocol import PredictionConfig, StepPredictor
 from jaxplan.prediction.stream import ObservationStream, StreamConfig
 from jaxplan.prediction.target_model import load_model, shipped_model
 from jaxplan.replanner import CommittedPlan, Cycle, Replanner, ReplannerConfig
@@ -41,9 +42,6 @@ YAW_ERROR_LIMIT = np.deg2rad(45.0)
 
 POINTS_AT_ONCE = 1024
 """Points whose distance to the world is computed in one call (arbitrary)."""
-
-LARGE_ROOM = 20.0
-"""Room diagonal [m] from which predictions are 0.2 s apart instead of 0.1 s (paper, Sec. IV)."""
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share of the longest possible episode that is over."""
@@ -137,7 +135,7 @@ def prepare(config: InterceptConfig, *, exhaustive: bool = False, planner: Plann
     vehicle = load_vehicle()
     target = load_target(config.target, world=world.name, speed=config.speed)
     distance = _distance_function(world)
-    prediction = prediction_config(world)
+    prediction = PredictionConfig.for_world(world)
     planner_config = PlannerConfig(exhaustive=exhaustive)
     _check_target(target, world, distance)
     position = _start(config, world, target, planner_config.padding)
@@ -162,15 +160,10 @@ def prepare(config: InterceptConfig, *, exhaustive: bool = False, planner: Plann
     )
 
 
-def prediction_config(world: World) -> PredictionConfig:
-    """How far and how densely targets are predicted in a room of this size (paper, Sec. IV)."""
-    return PredictionConfig(dt=0.1 if world.diagonal < LARGE_ROOM else 0.2)
-
-
 def predictor_for(config: InterceptConfig, world: World, target: Target) -> StepPredictor:
     """The predictor that was asked for, with the mixture that belongs to the world if it needs one."""
-    prediction, model = prediction_config(world), None
-    if config.predictor == "gmm":
+    prediction, model = PredictionConfig.for_world(world), None
+    if PREDICTORS[config.predictor].learned:
         own = config.target_model
         model = shipped_model(config.world, prediction.dt) if own is None else load_model(own)
     return build_predictor(config.predictor, prediction, target.position, config.seed, model, world)

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from jaxplan.planner import Approaches, Planner, Plans, Timer, select, select_approach
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.prediction.observations import Observations
-from jaxplan.prediction.predictors import Predictor
+from jaxplan.prediction.protocol import Predictor
 from jaxplan.records import replace
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import Note, PlanStatus, Reason, count_reasons

@@ -25,8 +25,6 @@ _HELD_OUT = 0.2
 """Held-out windows, as a share of those that are fitted."""
 _SCORED = 1000
 """Held-out windows on which the errors of the card are measured."""
-LARGE_ROOM = 20.0
-"""Room diagonal [m] from which predictions are 0.2 s apart instead of 0.1 s (paper, Sec. IV)."""
 
 
 @train.command
@@ -71,6 +69,7 @@ def gmm(
 
     from jaxplan.errors import InputError
     from jaxplan.prediction.gmm import FitConfig, fit_mixture
+    from jaxplan.prediction.protocol import PredictionConfig
     from jaxplan.prediction.target_model import TargetModel, save_model, window_coordinates
     from jaxplan.prediction.windows import draw_windows
     from jaxplan.world.load import load_world
@@ -79,7 +78,8 @@ def gmm(
         have = f"--out {out} and --windows {windows}"
         raise InputError(f"train gmm: have {have}, want a .npy file in a folder that exists and at least 1; correct it")
     room = None if world is None else load_world(world)
-    dt = dt if dt is not None else 0.2 if room is not None and room.diagonal >= LARGE_ROOM else 0.1
+    usual = PredictionConfig() if room is None else PredictionConfig.for_world(room)
+    dt = usual.dt if dt is None else dt
     flights = flights or ("walks" if room is None else "tours")
     fit_config = FitConfig(components=components, floor=floor, seed=seed)
     source, config = _flights(flights, room, dt)
@@ -125,18 +125,16 @@ def _flights(kind: str, room: "World | None", dt: float) -> "tuple[WaypointSourc
 
 def _scores(model: "TargetModel", windows: "np.ndarray", room: "World | None") -> dict[str, Any]:
     """Errors, likelihood and coverage of the mixture, and the errors of constant velocity, on the same windows."""
-    from jaxplan.prediction.predictors import PredictionConfig, build_predictor
+    from jaxplan.prediction.predictors import build_predictor
+    from jaxplan.prediction.protocol import PredictionConfig
     from jaxplan.prediction.scores import observe_windows, score
 
     config = PredictionConfig(steps=model.steps, dt=model.dt, observations=model.observations)
 
-    def unknown(times: "np.ndarray") -> "np.ndarray":
-        raise AssertionError("these predictors do not look at the truth")
-
     seen, futures = observe_windows(windows, model.observations, model.dt)
     found: dict[str, Any] = {"windows": len(windows)}
     for name in ("gmm", "constant-velocity"):
-        predictor = build_predictor(name, config, unknown, model=model, world=room)
+        predictor = build_predictor(name, config, model=model, world=room)
         summary = score([predictor.predict(observations) for observations in seen], futures).summary()
         found[name] = {key: None if value is None else round(value, 4) for key, value in summary.items()}
     return found

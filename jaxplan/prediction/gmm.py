@@ -26,7 +26,7 @@ from sklearn.mixture import GaussianMixture
 from jaxplan.errors import InputError
 from jaxplan.prediction.mixture import covariance_factors
 
-_LEAST_SPREAD = 1e-9
+_LEAST_DEVIATION = 1e-9
 """Metres; coordinates whose standard deviation is below this are constant."""
 
 
@@ -58,7 +58,7 @@ class FitConfig:
 
 @dataclasses.dataclass(frozen=True)
 class Fit:
-    """A mixture in the form that ``jaxplan.prediction.mixture.prepare`` wants."""
+    """A mixture in the form that ``jaxplan.prediction.mixture.conditional_mixture`` wants."""
 
     weights: Float[np.ndarray, "k"]
     means: Float[np.ndarray, "k d"]
@@ -135,6 +135,6 @@ def _check(training: Float[np.ndarray, "n d"], held_out: Float[np.ndarray, "m d"
         raise InputError(f"fit: have {have}, want at least {least} and 1 for {max(components)} components")
     if not (np.isfinite(training).all() and np.isfinite(held_out).all()):
         raise InputError("fit: windows have values that are not finite; remove them")
-    constant = np.flatnonzero(training.std(axis=0) < _LEAST_SPREAD)
+    constant = np.flatnonzero(training.std(axis=0) < _LEAST_DEVIATION)
     if len(constant):
         raise InputError(f"fit: coordinate {constant[0]} is the same in all windows; want targets that move")

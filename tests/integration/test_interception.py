@@ -12,7 +12,8 @@ from jaxplan.errors import InputError
 from jaxplan.io.targets import Target, load_target, stored_targets
 from jaxplan.metrics import episode_metrics
 from jaxplan.prediction.observations import Observations
-from jaxplan.prediction.predictors import PREDICTORS, SAMPLING, PredictionConfig, build_predictor
+from jaxplan.prediction.predictors import PREDICTORS, build_predictor
+from jaxplan.prediction.protocol import PredictionConfig
 from jaxplan.prediction.target_model import shipped_model
 from jaxplan.replanner import Replanner
 from jaxplan.spline import hover
@@ -37,7 +38,7 @@ def episode(scenario):
 def again(scenario, *, target=None, predictor="ground-truth", start=None, departure=0.5, seed=0):
     """The same compiled functions in another scenario."""
     target, start = target or scenario.target, start or scenario.start
-    mixture = shipped_model("env1", 0.1) if predictor == "gmm" else None
+    mixture = shipped_model("env1", 0.1) if PREDICTORS[predictor].learned else None
     model = build_predictor(predictor, PredictionConfig(), target.position, seed, mixture, scenario.world)
     replanner = Replanner(scenario.replanner.planner, model, start)
     replanner.warm_up(Observations(times=0.1 * np.arange(10), positions=np.tile(start.pos, (10, 1))))
@@ -97,7 +98,7 @@ def test_every_predictor_flies_without_compiling(scenario, predictor):
     result = interception.fly(again(scenario, target=target, predictor=predictor), SILENT)
     assert result.compilations_after_warmup == 0
     assert result.outcome in ("intercepted", "target_ended", "no_plan")
-    assert max(cycle.generated for cycle in result.cycles) == (400 if predictor in SAMPLING else 20)
+    assert max(cycle.generated for cycle in result.cycles) == (400 if PREDICTORS[predictor].sampling else 20)
     if predictor not in ("none", "constant-acceleration"):
         assert result.success
     assert (episode_metrics(result)["predictor_fallbacks"] > 0) == (predictor == "gmm")  # before ten observations
