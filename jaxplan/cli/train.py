@@ -1,5 +1,6 @@
 """``jaxplan train``: remake what was learned from data. Each command writes an artefact and a card beside it."""
 
+import dataclasses
 import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -14,7 +15,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from jaxplan.prediction.target_model import TargetModel
-    from jaxplan.prediction.windows import WaypointSource, WindowConfig
+    from jaxplan.prediction.waypoints import WaypointSource
+    from jaxplan.prediction.windows import WindowConfig
     from jaxplan.world.obstacles import World
 
 train = App(name="train", help="Learn from simulated data what planning needs.")
@@ -111,16 +113,17 @@ def gmm(
 def _flights(kind: str, room: "World | None", dt: float) -> "tuple[WaypointSource, WindowConfig]":
     """Where waypoints come from, and how flights are cut."""
     from jaxplan.errors import InputError
-    from jaxplan.prediction.windows import OPEN_SPACE, WindowConfig, chains, walks
+    from jaxplan.prediction.waypoints import ChainConfig, chains, walks
+    from jaxplan.prediction.windows import OPEN_SPACE, WindowConfig
     from jaxplan.training.tours import tours
 
     if (room is None) != (kind == "walks"):
         raise InputError(f"--flights: have {kind!r}, want walks without --world and tours or chains with it")
     if room is None:
-        config = WindowConfig(dt=dt, **OPEN_SPACE)
-        return walks(config), config
+        return walks(), dataclasses.replace(OPEN_SPACE, dt=dt)
     config = WindowConfig(dt=dt)
-    return (tours(room, config.margin) if kind == "tours" else chains(room, config)), config
+    source = tours(room, config.margin) if kind == "tours" else chains(room, ChainConfig(margin=config.margin))
+    return source, config
 
 
 def _scores(model: "TargetModel", windows: "np.ndarray", room: "World | None") -> dict[str, Any]:

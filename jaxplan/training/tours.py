@@ -4,9 +4,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxplan.errors import InputError
-from jaxplan.prediction.windows import FLIGHTS, WaypointSource, free_distance
+from jaxplan.prediction.waypoints import FLIGHTS, WaypointSource
 from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes
+from jaxplan.world.free_distance import free_distance
 from jaxplan.world.obstacles import World
 
 _PLACES = 48
