@@ -147,10 +147,6 @@ class Replanner:
             note=Note(candidates.note),
         )
 
-    def warm_up(self, observations: Observations) -> None:
-        """Compile what the predictor calls, for as many observations as it wants."""
-        self._predictor(observations, 0)
-
     def _decide(
         self, state: FlatState, candidates: Candidates, plans: Plans, takeover: float, timer: Timer
     ) -> tuple[PlanStatus, _Chosen | None]:

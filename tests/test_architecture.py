@@ -14,7 +14,7 @@ LAYERS = [
     {"minsnap", "vehicle", "world"},
     {"prediction", "search", "knots", "policy", "arrival", "selection", "tracking", "feasibility"},
     {"planner"},
-    {"viz", "io", "interception", "replanner", "metrics", "training"},
+    {"viz", "io", "interception", "scenario", "replanner", "metrics", "training"},
     {"runner"},
     {"cli", "experiments", "benchmarks", "jaxplan"},
 ]
@@ -26,7 +26,9 @@ SIBLINGS = {
     ("weights", "errors"),
     ("mjcf_probe", "errors"),
     ("validation", "errors"),
-    ("interception", "io"),
+    ("scenario", "io"),
+    ("scenario", "replanner"),
+    ("interception", "scenario"),
     ("interception", "replanner"),
     ("metrics", "interception"),
 }
