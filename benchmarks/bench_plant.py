@@ -19,7 +19,7 @@ from mujoco import rollout
 from jaxplan.minsnap.single import minimum_snap
 from jaxplan.tracking.model import PHYSICS_RATE, vehicle_mjcf
 from jaxplan.tracking.track import TrackConfig, track
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 
 from ._harness import write
 

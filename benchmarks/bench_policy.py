@@ -16,7 +16,7 @@ from jaxplan.feasibility.checkpoint import load_classifier
 from jaxplan.minsnap.spline_batch import fit_each
 from jaxplan.policy.checkpoint import load_policy
 from jaxplan.spline import FlatState
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 
 from . import _harness
 

@@ -71,6 +71,7 @@ def lattice_edges(lattices, level):
 
 
 def cells_of(grid, points):
+    """Indices of the cells that hold the points [m]."""
     index = np.floor((points - grid.origin) / grid.resolution).astype(int)
     return np.clip(index, 0, np.array(grid.shape) - 1)
 
@@ -101,6 +102,7 @@ def image_paths(grid, start, goals):
 
 
 def milliseconds(function, *arguments):
+    """Wall time of one call."""
     began = time.perf_counter()
     jax.block_until_ready(function(*arguments))
     return 1e3 * (time.perf_counter() - began)
@@ -138,6 +140,7 @@ def measure(name, count, peers, seed):
 
 
 def quantiles(values):
+    """Median, 99th percentile and maximum [ms]."""
     p50, p99 = np.quantile(values, [0.5, 0.99])
     return {"cycles": len(values), "p50_ms": float(p50), "p99_ms": float(p99), "max_ms": float(np.max(values))}
 
@@ -152,6 +155,7 @@ def measure_clearance(repeats):
 
 
 def main(argv=None):
+    """Measure, print and, where asked, write the rows."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cycles", type=int, default=200)
     parser.add_argument("--peers", type=int, default=10, help="cycles that the peers solve too")

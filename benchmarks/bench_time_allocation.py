@@ -16,7 +16,7 @@ from jaxplan.minsnap.many import minimum_snap_batch
 from jaxplan.minsnap.time_allocation import TimeAllocationConfig, time_allocation
 from jaxplan.precision import in_float64
 from jaxplan.vehicle.limits import rotor_limit_margin
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 
 from . import _harness
 

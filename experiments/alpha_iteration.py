@@ -14,6 +14,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from jaxplan.arrival import ArrivalConfig, match_arrival
 from jaxplan.arrival import sped_up as sped_up_state
@@ -128,13 +129,13 @@ def evaluate(config: Config, item: Item) -> Row:
 
 
 def report(results: Results) -> Report:
-    row = results.rows[0] or {}
+    (row,) = results.finished_rows()
     curves = {name: np.array(row[name], dtype=float) for name in ("fixed_point", "safeguarded", "times", "tracking")}
     numbers = {name: value for name, value in row.items() if name not in curves}
     lines = [[name.replace("_", " "), f"{value:.4g}"] for name, value in numbers.items()]
     tracking = curves["tracking"]
     table = [
-        {"alpha": float(alpha), "median_time": float(np.median(t)), "mean_tracking_error_m": float(np.nanmean(e))}
+        {"alpha": float(alpha), "median_time": float(np.median(t)), "mean_tracking_error_m": _mean_of_known(e)}
         for alpha, t, e in zip(ALPHAS, curves["times"], tracking, strict=True)
     ]
 
@@ -151,6 +152,12 @@ def report(results: Results) -> Report:
         figures={"alpha_iteration.png": draw},
         summary=markdown,
     )
+
+
+def _mean_of_known(errors: Float[np.ndarray, "k"]) -> float | None:
+    """The mean of the flights that were not lost; None where all were."""
+    known = errors[np.isfinite(errors)]
+    return float(known.mean()) if known.size else None
 
 
 EXPERIMENT = Experiment(

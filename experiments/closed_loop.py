@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import re
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
@@ -19,14 +19,14 @@ from jaxplan.prediction.protocol import PredictionConfig, StepPredictor
 from jaxplan.prediction.target_model import shipped_model
 from jaxplan.scenario import Scenario, build_scenario
 from jaxplan.tracking.rollout import Plant, build_plant
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import ENVIRONMENTS
 
 from .guidance import LAWS, Guidance
 from .optimiser import optimiser_policy
 
-LEARNED = ("pretrained", "mfrl")
-PLANNERS = ("no-policy", *LEARNED, "optimiser", *LAWS)
+LEARNED = tuple(name for name in intercept.PLANNERS if name != "no-policy")
+PLANNERS = (*intercept.PLANNERS, "optimiser", *LAWS)
 PREDICTORS = ("none", "ground-truth", "noisy-0.01", "noisy-0.05", "gmm", "constant-velocity")
 """``noisy-S`` has the standard deviation S [m] after one step; any S will do."""
 TIME_WEIGHT = 7.5e4
@@ -52,8 +52,7 @@ class EpisodeConfig:
 
 def available_planners() -> tuple[str, ...]:
     """Every planner whose weights are here."""
-    known = get_args(intercept.Planner)
-    return tuple(n for n in PLANNERS if n not in LEARNED or (n in known and (WEIGHTS / f"{n}.npz").is_file()))
+    return tuple(name for name in PLANNERS if name not in LEARNED or (WEIGHTS / f"{name}.npz").is_file())
 
 
 def check_names(worlds: tuple[str, ...], planners: tuple[str, ...], predictors: tuple[str, ...]) -> None:
@@ -137,7 +136,7 @@ def _scenarios(planner: str) -> dict[str, Scenario]:
 
 
 def _load(world: str, planner: str, elsewhere: Planner | None) -> Scenario:
-    known = planner if planner in get_args(intercept.Planner) else "no-policy"
+    known: intercept.Planner = next((name for name in intercept.PLANNERS if name == planner), "no-policy")
     config = intercept.InterceptConfig(world=world, planner=known, predictor="noisy")
     base = build_scenario(config, planner=elsewhere)
     if planner == "optimiser" and elsewhere is None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxplan.io.targets import load_target, stored_targets
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
-from jaxplan.runner.tables import as_latex, as_markdown
+from jaxplan.runner.tables import as_latex, as_markdown, number
 from jaxplan.viz.world import draw_world_picture
 from jaxplan.world.load import ENVIRONMENTS, environment_path, load_world
 from jaxplan.world.report import lattice_reports, obstacle_counts
@@ -52,7 +52,7 @@ def evaluate(config: Config, item: Item) -> Row:
 
 
 def report(results: Results) -> Report:
-    rows = [row for row in results.rows if row is not None]
+    rows = results.finished_rows()
     header = ["world", "size [m]", "obstacles", "kept out of", "targets", "mean length [m]", "mean duration [s]"]
     columns = ("world", "size_m", "obstacles", "occupied_share", "targets", "mean_length_m", "mean_duration_s")
     lines = [[_text(row[column]) for column in columns] for row in rows]
@@ -68,7 +68,7 @@ def report(results: Results) -> Report:
 
 
 def _text(value):
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    return number(value, ".3g") if value is None or isinstance(value, float) else str(value)
 
 
 def _times(target):

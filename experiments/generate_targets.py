@@ -22,7 +22,7 @@ from jaxplan.io.targets import target_spline
 from jaxplan.precision import in_float64
 from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes
-from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.world.clearance import free_distance
 from jaxplan.world.load import load_world
 
 MARGIN = 0.5
@@ -37,7 +37,7 @@ ROUTED_WAYPOINTS = 12
 
 def distance_function(world):
     """Distance [m] to the nearest obstacle or face, compiled once for each number of points."""
-    compiled = jax.jit(lambda points: jax.numpy.minimum(clearance(world, points), wall_clearance(world, points)))
+    compiled = jax.jit(lambda points: free_distance(world, points))
     return in_float64(lambda points: np.asarray(compiled(points)))
 
 
@@ -71,10 +71,10 @@ def routed_waypoints(world, lattices, pool, rng):
 
 def trajectory(world, rng, routed, waypoints=7):
     """Waypoints and durations of the first random trajectory that stays free."""
-    free_distance = distance_function(world)
+    distance = distance_function(world)
     lower, upper = np.asarray(world.bounds)
     pool = rng.uniform(lower + MARGIN, upper - MARGIN, (4096, 3))
-    pool = pool[free_distance(pool) > MARGIN + 0.1]
+    pool = pool[distance(pool) > MARGIN + 0.1]
     lattices = build_lattices(world, SearchConfig(padding=MARGIN + 0.3)) if routed else None
     while True:
         chain = routed_waypoints(world, lattices, pool, rng) if routed else draw_waypoints(pool, rng, waypoints)
@@ -83,7 +83,7 @@ def trajectory(world, rng, routed, waypoints=7):
         durations = np.linalg.norm(np.diff(chain, axis=0), axis=1)
         spline = target_spline(chain, durations)
         curve = spline.evaluate(np.linspace(0.0, float(spline.duration), 1000))[:, :3]
-        if free_distance(curve).min() >= MARGIN:
+        if distance(curve).min() >= MARGIN:
             return chain, durations
 
 

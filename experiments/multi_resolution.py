@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxplan.errors import InputError
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
-from jaxplan.runner.tables import as_latex, as_markdown
+from jaxplan.runner.tables import as_latex, as_markdown, number
 from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes, warmup
 from jaxplan.world.load import ENVIRONMENTS, load_world
@@ -108,7 +108,7 @@ def _compared(found):
 
 
 def report(results: Results) -> Report:
-    rows = [line for row in results.rows if row is not None for line in row["rows"]]
+    rows = [line for row in results.finished_rows() for line in row["rows"]]
     header = ["distance, share of the diagonal", "searches", "multi-resolution [ms]", "finest [ms]", "length ratio"]
     header += ["found by both / by the finest"]
     lines = []
@@ -125,7 +125,7 @@ def report(results: Results) -> Report:
                 str(len(mine)),
                 _spread(multi),
                 _spread(finest),
-                f"{np.mean(ratios):.3f}",
+                number(float(np.mean(ratios)) if ratios else None),
                 f"{found[0]} / {found[1]}",
             ]
         )

@@ -21,7 +21,7 @@ from jaxplan.errors import InputError
 from jaxplan.policy.network import NetworkConfig
 from jaxplan.policy.neural import neural_policy
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
-from jaxplan.runner.tables import as_latex, as_markdown
+from jaxplan.runner.tables import as_latex, as_markdown, number
 from jaxplan.training.dataset import (
     HELD_OUT,
     DatasetConfig,
@@ -34,7 +34,7 @@ from jaxplan.training.dataset import (
 from jaxplan.training.examples import lanes_of, load_examples
 from jaxplan.training.imitation import ImitationConfig
 from jaxplan.training.pretrain import PretrainConfig, pretrain
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 
 from .figures.network_size import draw_network_size
 
@@ -134,13 +134,13 @@ def _timed(config, network, parameters):
 
 
 def report(results: Results) -> Report:
-    rows = [row for row in results.rows if row is not None]
+    rows = results.finished_rows()
     header = ["hidden", "weights", "held-out error [%]", "evaluation [ms]", "decoder pass [ms]"]
     lines = [
         [
             str(row["hidden"]),
             str(row["weights"]),
-            f"{100.0 * row['error']:.2f}",
+            number(row["error"], ".2%").rstrip("%"),
             f"{row['evaluation_ms']:.2f}",
             f"{row['pass_ms']:.2f}",
         ]

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxplan.minsnap.time_allocation import TimeAllocationConfig, allocate
+from jaxplan.minsnap.time_allocation import TimeAllocationConfig, optimise_durations
 from jaxplan.policy.protocol import Policy
 from jaxplan.spline import FlatStateBatch
 
@@ -22,7 +22,9 @@ def optimiser_policy(time_weight: float, config: TimeAllocationConfig | None = N
     def decode(context: tuple[Array, Array], initial: FlatStateBatch) -> Float[Array, "m k"]:
         waypoints, count = context
         weight = jnp.full(waypoints.shape[-1], time_weight, waypoints.dtype)
-        found = allocate("weighted", None, settings, waypoints, count - 1, weight, initial.derivatives[1:], None)
+        found = optimise_durations(
+            "weighted", None, settings, waypoints, count - 1, weight, initial.derivatives[1:], None
+        )
         real = jnp.arange(len(waypoints) - 1)[:, None] < count - 1
         return jnp.where(jnp.isfinite(found.cost), found.durations, jnp.where(real, jnp.inf, 0.0))
 

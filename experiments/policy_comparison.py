@@ -21,7 +21,7 @@ from jaxplan.feasibility.features import low_fidelity
 from jaxplan.policy.checkpoint import load_policy, resolve_policy
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
 from jaxplan.runner.statistics import wilson
-from jaxplan.runner.tables import as_latex, as_markdown
+from jaxplan.runner.tables import as_latex, as_markdown, number
 from jaxplan.tracking.result import TRAINING
 from jaxplan.tracking.track import track
 from jaxplan.training import active
@@ -30,7 +30,7 @@ from jaxplan.training.dataset import DatasetConfig, build_flights, build_labels,
 from jaxplan.training.evaluate import policy_durations
 from jaxplan.training.scores import area_under_curve
 from jaxplan.training.sequences import take
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 
 from .figures.policy_comparison import draw_policy_comparison
 
@@ -157,14 +157,14 @@ def _curve(config, count, related, draw):
 def report(results: Results) -> Report:
     config = results.config
     rows = [(item, row) for item, row in zip(results.items, results.rows, strict=True) if row is not None]
-    flown = [row for item, row in rows if item.group == "flights"]
+    flown = results.finished_rows("flights")
     names = ("label", *config.policies)
     merged = {name: _merged(flown, name) for name in names}
     waypoints = np.concatenate([np.asarray(row["waypoints"]) for row in flown])
     table = [_summary(name, merged[name], merged["label"]) for name in names]
     drawn: dict[str, dict[int, list[float]]] = {name: {} for name in FIDELITIES}
     for item, row in rows:
-        if item.group == "curve":
+        if item.group == "curve" and row["auc"] is not None:
             drawn[item.values["kind"]].setdefault(item.values["labels"], []).append(row["auc"])
     curve = {name: {count: float(np.mean(of)) for count, of in found.items()} for name, found in drawn.items()}
     header = [column.replace("_", " ") for column in table[0]]
@@ -175,12 +175,12 @@ def report(results: Results) -> Report:
     scores = as_markdown(
         ["rollout labels", *FIDELITIES, "rollouts with margins for the AUC of as many alone"],
         [
-            [str(count), *(f"{curve[name].get(count, np.nan):.3f}" for name in FIDELITIES), _needed(curve, count)]
+            [str(count), *(number(curve[name].get(count)) for name in FIDELITIES), _needed(curve, count)]
             for count in config.labels
         ],
     )
-    alone = next((row["margin_alone"] for item, row in rows if item.group == "curve"), np.nan)
-    curves = f"Area under the classifier's ROC curve (of the margin alone, which needs no rollout: {alone:.3f})"
+    alone = next((row["margin_alone"] for item, row in rows if item.group == "curve"), None)
+    curves = f"Area under the classifier's ROC curve (of the margin alone, which needs no rollout: {number(alone)})"
     relative = {name: merged[name]["time"] / merged["label"]["time"] for name in config.policies}
     failures = {name: _by_length(waypoints, ~merged[name]["tracked"]) for name in names}
     return Report(

@@ -25,7 +25,7 @@ from jaxplan.prediction.protocol import PredictionConfig
 from jaxplan.prediction.scores import observe_windows, score
 from jaxplan.prediction.target_model import shipped_model
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
-from jaxplan.runner.tables import as_latex
+from jaxplan.runner.tables import as_latex, number
 from jaxplan.runner.tables import as_markdown as markdown_table
 from jaxplan.world.load import load_world
 
@@ -161,10 +161,10 @@ def evaluate(config: Config, item: Item) -> Row:
 
 
 def report(results: Results) -> Report:
-    rows = [line for row in results.rows if row is not None for line in row["rows"]]
+    rows = [line for row in results.finished_rows() for line in row["rows"]]
     shown = [(load_world(world), list(panels(world, dt))) for world, dt in INTERVALS.items()]
     header = ["column, predictor", "ADE [m]", "FDE [m]"]
-    errors = [[f"{r['column']}, {r['predictor']}", f"{r['ade_m']:.2f}", f"{r['fde_m']:.2f}"] for r in rows]
+    errors = [[f"{r['column']}, {r['predictor']}", number(r["ade_m"], ".2f"), number(r["fde_m"], ".2f")] for r in rows]
     return Report(
         markdown=as_markdown(rows) + "\n![what the predictors propose](prediction.png)\n",
         table=rows,

@@ -16,7 +16,7 @@ import numpy as np
 from jaxplan.errors import InputError
 from jaxplan.minsnap.single import minimum_snap
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
-from jaxplan.runner.tables import as_latex, as_markdown
+from jaxplan.runner.tables import as_latex, as_markdown, number
 from jaxplan.tracking.fidelity import build_labeller
 from jaxplan.tracking.result import TRAINING
 from jaxplan.tracking.track import TrackConfig, track
@@ -52,11 +52,12 @@ def statistics(result):
     flown = np.isfinite(result.max_position_error) & np.isfinite(result.max_yaw_error)
     flown &= result.max_position_error < 5.0  # lost: its error says only how far it fell
     position, yaw = result.max_position_error[flown], np.degrees(result.max_yaw_error[flown])
+    any_flown = bool(flown.any())
     return {
-        "position_mean_m": position.mean(),
-        "position_std_m": position.std(),
-        "yaw_mean_deg": yaw.mean(),
-        "yaw_std_deg": yaw.std(),
+        "position_mean_m": position.mean() if any_flown else None,
+        "position_std_m": position.std() if any_flown else None,
+        "yaw_mean_deg": yaw.mean() if any_flown else None,
+        "yaw_std_deg": yaw.std() if any_flown else None,
         "feasible_share": result.feasible.mean(),
         "lost_share": 1.0 - flown.mean(),
     }
@@ -105,9 +106,10 @@ def _part(result, part):
 
 
 def report(results: Results) -> Report:
-    rows = (results.rows[0] or {})["rows"]
+    (found,) = results.finished_rows()
+    rows = found["rows"]
     header = [name.replace("_", " ") for name in rows[0]]
-    lines = [[f"{value:.3f}" for value in row.values()] for row in rows]
+    lines = [[number(value) for value in row.values()] for row in rows]
     markdown, limits = (
         as_markdown(header, lines),
         {"position": TRAINING.position, "yaw": float(np.degrees(TRAINING.yaw))},

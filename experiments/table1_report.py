@@ -55,7 +55,7 @@ class Cell(NamedTuple):
 
 def report(results: Results) -> Report:
     """Tables, pictures and times."""
-    rows = [row for row in results.rows if row is not None]
+    rows = results.finished_rows()
     cells = by_cell(rows)
     header, lines = _main_table(cells)
     times = _times(results)

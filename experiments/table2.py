@@ -110,7 +110,7 @@ def _row(item: Item, count: int, stage: str, p50: float, p99: float) -> Row:
 
 
 def report(results: Results) -> Report:
-    rows = [line for row in results.rows if row is not None for line in row["rows"]]
+    rows = [line for row in results.finished_rows() for line in row["rows"]]
     header = ["device, world, candidates", *(f"{stage} [ms]" for stage in STAGES)]
     lines = []
     for key in dict.fromkeys((row["device"], row["world"], row["candidates"]) for row in rows):

@@ -101,7 +101,7 @@ def _moment(cycle) -> Row:
 
 
 def report(results: Results) -> Report:
-    row = results.rows[0] or {}
+    (row,) = results.finished_rows()
     table = [{key: m[key] for key in ("time", "status", "generated", "usable")} for m in row["moments"]]
     header = ["time [s]", "the cycle came to", "candidates", "usable"]
     lines = [[f"{m['time']:.1f}", m["status"].replace("_", " "), str(m["generated"]), str(m["usable"])] for m in table]

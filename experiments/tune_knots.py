@@ -20,7 +20,7 @@ from jaxplan.knots import KnotConfig, select_routes
 from jaxplan.minsnap.single import minimum_snap
 from jaxplan.precision import in_float64
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
-from jaxplan.runner.tables import as_latex, as_markdown
+from jaxplan.runner.tables import as_latex, as_markdown, number
 from jaxplan.search.lattice import build_lattices
 from jaxplan.search.routes import find_routes
 from jaxplan.world.load import ENVIRONMENTS, load_world
@@ -124,12 +124,13 @@ def evaluate(config: Config, item: Item) -> Row:
 
 
 def report(results: Results) -> Report:
-    rows = (results.rows[0] or {})["rows"]
+    (found,) = results.finished_rows()
+    rows = found["rows"]
     outcomes = [Outcome(**row) for row in rows]
     chosen = choose(outcomes)
     header = ["k_d,min [m]", "k_c,min [rad]", "segments", "median deviation [m]", f"above {ALLOWED:g} m"]
     lines = [
-        [f"{o.distance:g}", f"{o.turning:g}", f"{o.segments:.2f}", f"{o.median:.3f}", f"{o.rejected:.1%}"]
+        [f"{o.distance:g}", f"{o.turning:g}", f"{o.segments:.2f}", number(o.median), f"{o.rejected:.1%}"]
         for o in outcomes
     ]
     verdict = f"Chosen: k_d,min = {chosen.distance:g} m, k_c,min = {chosen.turning:g} rad.\n"

@@ -28,7 +28,7 @@ _HOMES = {
     "jaxplan.spline": ("FlatState", "PiecewisePolynomial", "hover"),
     "jaxplan.status": ("PlanStatus", "Reason"),
     "jaxplan.tracking.track": ("TrackConfig", "track"),
-    "jaxplan.vehicle.mjcf": ("load_vehicle",),
+    "jaxplan.vehicle.load": ("load_vehicle",),
     "jaxplan.vehicle.flatness": ("differential_flatness",),
     "jaxplan.vehicle.limits": ("rotor_limit_margin",),
     "jaxplan.vehicle.params": ("Vehicle",),

@@ -33,7 +33,7 @@ from jaxplan.tracking.track import TrackConfig as TrackConfig
 from jaxplan.tracking.track import track as track
 from jaxplan.vehicle.flatness import differential_flatness as differential_flatness
 from jaxplan.vehicle.limits import rotor_limit_margin as rotor_limit_margin
-from jaxplan.vehicle.mjcf import load_vehicle as load_vehicle
+from jaxplan.vehicle.load import load_vehicle as load_vehicle
 from jaxplan.vehicle.params import Vehicle as Vehicle
 from jaxplan.world.clearance import clearance as clearance
 from jaxplan.world.load import load_world as load_world

@@ -10,6 +10,10 @@ A host entry point that takes what a user has, and refuses what it cannot use in
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 AnyArray = jax.Array | np.ndarray
 """On the device or on the host."""
+
+Scalar = float | np.floating | Float[AnyArray, ""]
+"""A real number, of Python, NumPy or JAX."""

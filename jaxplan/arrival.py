@@ -11,19 +11,25 @@ same first step is followed by a secant safeguarded by a bracket, for all candid
 """
 
 import dataclasses
-from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
+from jaxplan.batching import batch_last
 from jaxplan.errors import InputError
 from jaxplan.spline import FlatState, FlatStateBatch
 from jaxplan.status import Reason, bit
+from jaxplan.validation import require_within
 
-Decode = Callable[[FlatStateBatch], Float[Array, "m k"]]
-"""Durations [s] of every candidate from its initial state."""
+
+@runtime_checkable
+class Decode(Protocol):
+    """A time allocation: durations of every candidate from its initial state."""
+
+    def __call__(self, initial: FlatStateBatch, /) -> Float[Array, "m k"]:
+        """Seconds per segment, 0 behind the last real one."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,8 +44,7 @@ class ArrivalConfig:
     def __post_init__(self) -> None:
         if not 0.0 < self.tolerance < 1.0:
             raise InputError(f"arrival: tolerance is {self.tolerance}, want a number between 0 and 1")
-        if not 2 <= self.max_calls <= 1000:
-            raise InputError(f"arrival: max_calls is {self.max_calls}, want 2 to 1000")
+        require_within("arrival", self, 2, 1000, "max_calls")
 
 
 class Arrival(NamedTuple):
@@ -70,6 +75,7 @@ class _Search(NamedTuple):
     trips: Int[Array, ""]
 
 
+@batch_last
 def match_arrival(
     decode: Decode, initial: FlatState | FlatStateBatch, arrival_times: Float[Array, "k"], config: ArrivalConfig
 ) -> Arrival:
@@ -102,6 +108,7 @@ def match_arrival(
     return Arrival(jnp.where(met, exact, end.durations), alpha, least, reasons, end.calls)
 
 
+@batch_last
 def sped_up(initial: FlatState | FlatStateBatch, alpha: Float[Array, "k"]) -> FlatStateBatch:
     """alpha D: the k-th derivative times alpha^k (paper eq. 8), of position and yaw.
 
@@ -126,12 +133,14 @@ def _propose(search: _Search) -> Float[Array, "k"]:
     secant = search.below - search.f_below / slope
     middle = 0.5 * (search.below + search.above)
     inside = (secant > search.below) & (secant < search.above) & (search.trips % 3 != 2)
-    return jnp.where(bracketed, jnp.where(inside, secant, middle), search.x - search.f * _stretch(search.trips))
+    return jnp.where(
+        bracketed, jnp.where(inside, secant, middle), search.x - search.f * _stretch(search.trips, search.x.dtype)
+    )
 
 
-def _stretch(trips: Int[Array, ""]) -> Float[Array, ""]:
+def _stretch(trips: Int[Array, ""], dtype: jnp.dtype) -> Float[Array, ""]:
     """Widen the unbracketed steps as they repeat, so that a slow approach still ends."""
-    return jnp.where(trips <= 3, 1.0, 2.0 ** jnp.minimum(trips - 3, 10))
+    return 2.0 ** jnp.clip(trips - 3, 0, 10).astype(dtype)
 
 
 def _narrow(search: _Search, x: Float[Array, "k"], f: Float[Array, "k"], durations: Float[Array, "m k"]) -> _Search:

@@ -4,17 +4,19 @@ A CPU takes as long for 400 lanes at once as for seven times 64, and one width i
 that the working set of each stays in the cache.
 """
 
+import functools
 import os
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
+P = ParamSpec("P")
 T = TypeVar("T")
 
 CHUNK = 224
@@ -24,6 +26,21 @@ multiple of 64, so that rows do not fall into the same cache sets."""
 PART = 820
 """Lanes of a whole solve on the host, several of which share the cores: measured for 4096 problems of 14 waypoints,
 where 205 to 1400 lanes take 5 to 40 % longer. XLA alone keeps 1.4 of 2 cores busy."""
+
+
+def batch_last(function: Callable[P, T]) -> Callable[P, T]:
+    """Mark a kernel whose arrays all have the batch as their last axis.
+
+    There a vector over the batch meets arrays of any rank, from the right, as JAX broadcasts by default. A process may
+    forbid that everywhere else (``jax_numpy_rank_promotion``), to find mistakes, as our tests do.
+    """
+
+    @functools.wraps(function)
+    def marked(*args: P.args, **kwargs: P.kwargs) -> T:
+        with jax.numpy_rank_promotion("allow"):
+            return function(*args, **kwargs)
+
+    return marked
 
 
 def in_chunks(function: Callable[[Any], T], arrays: Any, lanes: int) -> T:
@@ -85,13 +102,18 @@ def in_parts(function: Callable[[Any], T], arrays: Any, lanes: int) -> T:
 Lanes = Int[np.ndarray, "n"]
 
 
-def in_portions(program: Callable[[Lanes], Any], lanes: Lanes, width: int) -> Any:
+def in_portions(program: Callable[[Lanes], Any], lanes: Lanes, width: int, threads: int = 1) -> Any:
     """What ``program`` gives for at least one lane, called with ``width`` of them at a time, as NumPy arrays.
 
-    The last call is filled up by repeating a lane; leaves have the batch last.
+    The last call is filled up by repeating a lane; leaves have the batch last. At most ``threads`` calls run at once;
+    JAX's settings that belong to a thread (64-bit types among them) hold in the calling one alone.
     """
     cuts = [lanes[begin : begin + width] for begin in range(0, len(lanes), width)]
-    return join([(program(fill(some, width)), len(some)) for some in cuts])
+    if threads == 1 or len(cuts) == 1:
+        return join([(program(fill(some, width)), len(some)) for some in cuts])
+    with ThreadPoolExecutor(min(threads, len(cuts))) as pool:
+        parts = pool.map(lambda some: program(fill(some, width)), cuts)
+        return join([(part, len(some)) for part, some in zip(parts, cuts, strict=True)])
 
 
 def fill(lanes: Lanes, width: int) -> Lanes:

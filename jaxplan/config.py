@@ -7,7 +7,9 @@ from typing import Literal, get_args
 from jaxplan.errors import InputError
 
 Predictor = Literal["none", "ground-truth", "noisy", "constant-velocity", "constant-acceleration", "gmm"]
+PREDICTORS: tuple[Predictor, ...] = get_args(Predictor)
 Planner = Literal["no-policy", "pretrained", "mfrl"]
+PLANNERS: tuple[Planner, ...] = get_args(Planner)
 
 _FASTEST_TARGET = 50.0
 """m/s; arbitrary, far above any vehicle here: a larger value is a mistake of units."""
@@ -59,12 +61,12 @@ class InterceptConfig:
         _require_name("out", self.out)
         if self.target is not None:
             _require_name("target", self.target)
-        _require_choice("predictor", self.predictor, get_args(Predictor))
+        _require_choice("predictor", self.predictor, PREDICTORS)
         if self.target_model is not None:
             _require_name("target-model", self.target_model)
             if self.predictor != "gmm":
                 raise _refusal("target-model", self.target_model, "none unless the predictor is gmm")
-        _require_choice("planner", self.planner, get_args(Planner))
+        _require_choice("planner", self.planner, PLANNERS)
         if self.speed is not None:
             _require_number("speed", self.speed, f"a number above 0 and at most {_FASTEST_TARGET:g} m/s")
             if not 0.0 < self.speed <= _FASTEST_TARGET:

@@ -33,6 +33,12 @@ class UnsupportedVersion(ResourceError, ImportError):
     """An installed package is known to hang or to compute wrong numbers."""
 
 
+class IncompleteError(JaxplanError, RuntimeError):
+    """Some items of an experiment failed, and what was asked for cannot be made without them."""
+
+    exit_code = 14
+
+
 class InternalError(JaxplanError, RuntimeError):
     """A promise that the library makes to itself was broken: please report it."""
 

@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxplan.errors import InputError
 from jaxplan.numerics import safe_divide, safe_norm
+from jaxplan.validation import require_positive, require_within
 
 MAX_WAYPOINTS = 14
 """Longest sequence the planner handles (paper, Sec. III-A)."""
@@ -32,18 +32,16 @@ class KnotConfig:
     """Points at uniform arc length that stand for a path, here and in the deviation test."""
 
     def __post_init__(self) -> None:
-        for name in ("distance_per_knot", "turning_per_knot"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(f"knots: {name} is {getattr(self, name)}, want a positive number")
-        if not 8 <= self.samples <= 4096:
-            raise InputError(f"knots: samples is {self.samples}, want 8 to 4096")
+        require_positive("knots", self, "distance_per_knot", "turning_per_knot")
+        require_within("knots", self, 8, 4096, "samples")
 
 
 class Knots(NamedTuple):
-    """Waypoints of one path, padded by repeating the goal."""
+    """Waypoints of one path or, with a leading axis, of many; padded by repeating the goal."""
 
-    waypoints: Float[Array, "14 3"]
-    count: Int[Array, ""]
+    waypoints: Float[Array, "*k 14 3"]
+    """[m, world]"""
+    count: Int[Array, "*k"]
     """Waypoints in use, 2 to 14."""
 
 
@@ -63,27 +61,22 @@ def select_routes(
 ) -> KnottedPaths:
     """Waypoints and samples of the first ``shares`` of searched paths [m] whose unused points repeat their last one."""
     sample = jax.vmap(lambda path, share: resample(path, config.samples, share))
-    spread = jax.vmap(lambda path, along: _spread(path, along, config))
+    placed = jax.vmap(lambda path, along: _place(path, along, config))
     whole = sample(paths, jnp.ones(len(paths), paths.dtype))
     along = jax.vmap(_parameters)(whole)
     shares = jnp.minimum(MAX_WAYPOINTS / jax.vmap(lambda one: _wanted(one, config))(along), shares)
 
     def cut() -> tuple[Knots, Array]:
         samples = sample(paths, shares)
-        return spread(samples, jax.vmap(_parameters)(samples)), samples
+        return placed(samples, jax.vmap(_parameters)(samples)), samples
 
-    knots, samples = jax.lax.cond(jnp.any(shares < 1.0), cut, lambda: (spread(whole, along), whole))
+    knots, samples = jax.lax.cond(jnp.any(shares < 1.0), cut, lambda: (placed(whole, along), whole))
     return KnottedPaths(knots, samples, shares >= 1.0)
 
 
 def select_knots(path: Float[Array, "l 3"], config: KnotConfig) -> Knots:
     """At most ``MAX_WAYPOINTS`` waypoints along one whole path [m] whose unused points repeat its last one."""
-    return _spread(path, _parameters(path), config)
-
-
-def wanted_knots(path: Float[Array, "l 3"], config: KnotConfig) -> Float[Array, ""]:
-    """max(k_d / k_d,min, k_c / k_c,min) of a whole path, before rounding and limits; at least 2."""
-    return _wanted(_parameters(path), config)
+    return _place(path, _parameters(path), config)
 
 
 def resample(path: Float[Array, "l 3"], samples: int, share: Float[Array, ""] | float = 1.0) -> Float[Array, "s 3"]:
@@ -96,7 +89,7 @@ def interpolate_along(
     path: Float[Array, "l 3"], parameter: Float[Array, "l"], at: Float[Array, "n"]
 ) -> Float[Array, "n 3"]:
     """Points of a polyline where its non-decreasing ``parameter`` takes the values ``at``."""
-    right = jnp.clip(jnp.sum(at[:, None] > parameter, axis=1), 1, len(parameter) - 1)
+    right = jnp.clip(jnp.sum(at[:, None] > parameter[None], axis=1), 1, len(parameter) - 1)
     low, high = parameter[right - 1], parameter[right]
     weight = jnp.clip(safe_divide(at - low, high - low), 0.0, 1.0)[:, None]
     return path[right - 1] * (1.0 - weight) + path[right] * weight
@@ -111,11 +104,11 @@ class _Along(NamedTuple):
     """k_c [rad]."""
 
 
-def _spread(path: Float[Array, "l 3"], along: _Along, config: KnotConfig) -> Knots:
+def _place(path: Float[Array, "l 3"], along: _Along, config: KnotConfig) -> Knots:
     """The waypoints, uniform in k."""
     count = jnp.clip(jnp.ceil(_wanted(along, config)), 2, MAX_WAYPOINTS).astype(jnp.int32)
     parameter = 0.5 * (along.distance + along.turning)
-    share = jnp.minimum(jnp.arange(MAX_WAYPOINTS) / (count - 1), 1.0)
+    share = jnp.minimum(jnp.arange(MAX_WAYPOINTS, dtype=path.dtype) / (count - 1).astype(path.dtype), 1.0)
     return Knots(interpolate_along(path, parameter, share * parameter[-1]), count)
 
 

@@ -26,8 +26,9 @@ from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.search.start_place import reachable_place
 from jaxplan.spline import FlatState, hover
 from jaxplan.tracking.rollout import CONTROL_RATE, Plant, build_plant
-from jaxplan.vehicle.params import Vehicle, load_vehicle
-from jaxplan.world.free_distance import free_distance
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import Vehicle
+from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import World
 
@@ -124,7 +125,7 @@ def _distance_in(world: World) -> DistanceFunction:
     """The world is handed to the device once."""
     with jax.enable_x64(True):
         on_device = jax.device_put(world)
-    return functools.partial(free_distance, on_device, width=POINTS_AT_ONCE)
+    return functools.partial(host_free_distance, on_device, width=POINTS_AT_ONCE)
 
 
 def _policy(planner: str) -> tuple[Policy, Classifier | None]:

@@ -7,14 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
 
-from jaxplan.errors import InputError
+from jaxplan.arrays import AnyArray
+from jaxplan.batching import batch_last
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.numerics import safe_norm
 from jaxplan.records import record, replace
 from jaxplan.status import Reason, bit
+from jaxplan.validation import require_at_least, require_positive, require_within
 from jaxplan.vehicle.limits import least_rotor_margin
 from jaxplan.vehicle.params import Vehicle
-from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.world.clearance import free_distance
 from jaxplan.world.obstacles import World
 
 
@@ -35,31 +37,26 @@ class CheckConfig:
     """Probability of being tracked that a trajectory needs where a classifier judges instead of the rotor limits."""
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.least_probability <= 1.0:
-            raise InputError(f"checks: least_probability is {self.least_probability}, want a number from 0 to 1")
-        if not self.max_deviation > 0.0:
-            raise InputError(f"checks: max_deviation is {self.max_deviation} m, want a positive number")
-        if not self.tracking_margin >= 0.0:
-            raise InputError(f"checks: tracking_margin is {self.tracking_margin} m, want 0 or more")
-        if not 2 <= self.samples_per_segment <= 256:
-            raise InputError(f"checks: samples_per_segment is {self.samples_per_segment}, want 2 to 256")
-        if not 2 <= self.instants <= 4096:
-            raise InputError(f"checks: instants is {self.instants}, want 2 to 4096")
+        require_positive("checks", self, "max_deviation")
+        require_at_least("checks", self, 0, "tracking_margin")
+        require_within("checks", self, 0, 1, "least_probability")
+        require_within("checks", self, 2, 256, "samples_per_segment")
+        require_within("checks", self, 2, 4096, "instants")
 
 
 @record
 class Margins:
     """How far each trajectory is from what it must not exceed; one lane per candidate."""
 
-    deviation: Float[Array, "k"]
+    deviation: Float[AnyArray, "k"]
     """Largest distance [m] from the searched path, at equal shares of arc length."""
-    clearance: Float[Array, "k"]
+    clearance: Float[AnyArray, "k"]
     """Lower bound [m] of the distance to obstacles and to the room's faces, anywhere on the trajectory."""
-    rotor_speed: Float[Array, "k"]
+    rotor_speed: Float[AnyArray, "k"]
     """Distance [rad/s] of the worst rotor from its nearest limit, over the samples; NaN where a classifier decides."""
-    probability: Float[Array, "k"]
+    probability: Float[AnyArray, "k"]
     """Of being tracked, by the classifier; NaN without one."""
-    reasons: UInt32[Array, "k"]
+    reasons: UInt32[AnyArray, "k"]
 
 
 def check(
@@ -81,6 +78,7 @@ def check(
     return check_clearance(flown, splines, world, vehicle, config)
 
 
+@batch_last
 def check_flight(
     splines: SplineBatch,
     paths: Float[Array, "p 3 k"],
@@ -106,6 +104,7 @@ def check_flight(
     return Margins(deviation=deviation, clearance=unknown, rotor_speed=rotors, probability=probability, reasons=reasons)
 
 
+@batch_last
 def check_clearance(
     margins: Margins, splines: SplineBatch, world: World, vehicle: Vehicle, config: CheckConfig
 ) -> Margins:
@@ -135,7 +134,7 @@ def _deviation(positions: Float[Array, "m s 3 k"], paths: Float[Array, "p 3 k"])
     share = travelled / jnp.maximum(travelled[-1], 1e-9)
     place = share * (paths.shape[0] - 1)
     low = jnp.clip(jnp.nan_to_num(jnp.floor(place)), 0, paths.shape[0] - 2).astype(jnp.int32)[:, None]
-    weight = place[:, None] - low
+    weight = place[:, None] - low.astype(place.dtype)
     before, after = jnp.take_along_axis(paths, low, axis=0), jnp.take_along_axis(paths, low + 1, axis=0)
     return jnp.max(safe_norm(points - before * (1.0 - weight) - after * weight, axis=1), axis=0)
 
@@ -149,7 +148,7 @@ def _clearance_bound(
     acceleration on the segment; distance to obstacles changes no faster than position (Lipschitz).
     """
     points = jnp.moveaxis(samples[:, :, 0], 2, -1)
-    free = jnp.minimum(clearance(world, points), wall_clearance(world, points))
+    free = free_distance(world, points)
     half = 0.5 * splines.durations / pieces
     speed = safe_norm(samples[:, :, 1], axis=2)
     reach = speed * half[:, None] + (0.5 * _acceleration_bound(splines) * half**2)[:, None]

@@ -12,15 +12,19 @@ import itertools
 import math
 from collections.abc import Sequence
 from types import ModuleType
-from typing import Any
+from typing import Annotated, Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
 
-from jaxplan.arrays import AnyArray
+from jaxplan.arrays import AnyArray, Scalar
 from jaxplan.errors import InputError
 from jaxplan.records import record
+
+Times = float | ArrayLike
+"""Instants [s], one or an array of any shape."""
 
 
 @record
@@ -110,7 +114,7 @@ class FlatStateBatch:
         return FlatState(derivatives=self.derivatives[(..., *index)], yaw=self.yaw[(..., *index)])
 
 
-def hover(pos: Float[np.ndarray, "3"], yaw: float = 0.0) -> FlatState:
+def hover(pos: Annotated[ArrayLike, "3"], yaw: float = 0.0) -> FlatState:
     """The state of rest at ``pos`` [m, world] with heading ``yaw`` [rad], in NumPy float64."""
     derivatives = np.zeros((5, 3))
     derivatives[0] = pos
@@ -124,18 +128,19 @@ class PiecewisePolynomial:
     Padding: segments of duration 0 behind the last real one are never evaluated.
     """
 
-    durations: Float[Array, "m"]
+    durations: Float[AnyArray, "m"]
     """Seconds per segment; 0 marks padding."""
-    position: Float[Array, "m n 3"]
+    position: Float[AnyArray, "m n 3"]
     """Ascending coefficients in normalised time, metres."""
-    yaw: Float[Array, "m k"] | None = None
+    yaw: Float[AnyArray, "m k"] | None = None
     """Ascending coefficients in normalised time, radians (unwrapped); None for a path without heading."""
 
     @property
-    def duration(self) -> Float[Array, ""]:
+    def duration(self) -> Scalar:
+        """Seconds from start to end."""
         return self.durations.sum()
 
-    def evaluate(self, t: Float[Array, "*t"], derivative: int = 0) -> Float[Array, "*t c"]:
+    def evaluate(self, t: Times, derivative: int = 0) -> Float[AnyArray, "*t c"]:
         """Position and yaw, or their ``derivative``-th time derivative, at ``t`` [s] from the start.
 
         Shape (..., 4) with yaw last, or (..., 3) where the spline has no yaw: m and rad per s^derivative.
@@ -149,7 +154,7 @@ class PiecewisePolynomial:
         yaw = _horner(self.yaw[segment][..., None], s, duration, derivative, xp)
         return xp.concatenate([position, yaw], axis=-1)
 
-    def state(self, t: Float[Array, "*t"]) -> FlatState:
+    def state(self, t: Times) -> FlatState:
         """The flat state at ``t`` [s] from the start: position to snap, yaw to yaw acceleration (0 without yaw)."""
         xp = _namespace(self.durations, t)
         rows = [self.evaluate(t, derivative) for derivative in range(5)]
@@ -158,25 +163,25 @@ class PiecewisePolynomial:
             yaw=xp.zeros_like(rows[0]) if self.yaw is None else xp.stack([row[..., 3] for row in rows[:3]], axis=-1),
         )
 
-    def dilate(self, alpha: Float[Array, ""]) -> "PiecewisePolynomial":
+    def dilate(self, alpha: Scalar) -> "PiecewisePolynomial":
         """The same path flown ``alpha`` times as slowly (derivative k shrinks by alpha^-k)."""
         return PiecewisePolynomial(durations=self.durations * alpha, position=self.position, yaw=self.yaw)
 
-    def sample(self, count: int) -> tuple[Float[Array, "s"], Float[Array, "s c"]]:
+    def sample(self, count: int) -> tuple[Float[AnyArray, "s"], Float[AnyArray, "s c"]]:
         """``count`` evenly spaced times [s] from start to end, and position (and yaw) there."""
         xp = _namespace(self.durations)
         times = xp.linspace(0.0, 1.0, count) * self.duration
         return times, self.evaluate(times)
 
-    def monomials(self) -> Float[Array, "m n 3"]:
+    def monomials(self) -> Float[AnyArray, "m n 3"]:
         """Ascending position coefficients in the time since each segment's start [m/s^k]; 0 on padding."""
         xp = _namespace(self.durations)
         real = (self.durations > 0.0)[:, None]
         safe = xp.where(real, self.durations[:, None], 1.0)
-        powers = xp.where(real, 1.0 / safe ** np.arange(self.position.shape[1]), 0.0)
+        powers = xp.where(real, 1.0 / safe ** np.arange(self.position.shape[1], dtype=safe.dtype)[None], 0.0)
         return self.position * powers[..., None]
 
-    def bound(self, derivative: int, pieces: int = 8) -> Float[Array, "m"]:
+    def bound(self, derivative: int, pieces: int = 8) -> Float[AnyArray, "m"]:
         """An upper bound of the norm of the ``derivative``-th derivative of position on each segment [m/s^k].
 
         Rigorous between samples: on each of ``pieces`` parts the polynomial lies in the hull of its Bernstein
@@ -184,12 +189,12 @@ class PiecewisePolynomial:
         """
         return self.bounds(derivative, pieces).max(axis=1)
 
-    def bounds(self, derivative: int, pieces: int) -> Float[Array, "m p"]:
+    def bounds(self, derivative: int, pieces: int) -> Float[AnyArray, "m p"]:
         """``bound`` on each of the ``pieces`` parts of each segment."""
         points = _hull(self.position, self.durations, derivative, pieces)
         return _namespace(self.durations).sqrt((points * points).sum(axis=-1).max(axis=-1))
 
-    def yaw_bounds(self, derivative: int, pieces: int) -> Float[Array, "m p"]:
+    def yaw_bounds(self, derivative: int, pieces: int) -> Float[AnyArray, "m p"]:
         """The same for the size of a derivative of yaw [rad/s^k]; 0 without yaw."""
         xp = _namespace(self.durations)
         if self.yaw is None:
@@ -229,10 +234,11 @@ class PiecewisePolynomial:
             PiecewisePolynomial(durations=right, position=positions[1], yaw=yaws[1]),
         )
 
-    def _locate(self, t: Float[Array, "*t"], xp: ModuleType) -> tuple[Int[Array, "*t"], Float[Array, "*t"]]:
+    def _locate(self, t: Float[AnyArray, "*t"], xp: ModuleType) -> tuple[Int[AnyArray, "*t"], Float[AnyArray, "*t"]]:
         ends = xp.cumsum(self.durations)
         last = xp.maximum((self.durations > 0.0).sum() - 1, 0)
-        segment = xp.clip((t[..., None] >= ends).sum(axis=-1), 0, last)
+        passed = t[..., None] >= ends.reshape((1,) * t.ndim + ends.shape)
+        segment = xp.clip(passed.sum(axis=-1), 0, last)
         duration = self.durations[segment]
         local = t - (ends[segment] - duration)
         return segment, xp.clip(local / xp.where(duration > 0.0, duration, 1.0), 0.0, 1.0)
@@ -265,8 +271,8 @@ def _part_table(count: int, start: float, end: float) -> Float[np.ndarray, "n n"
 
 
 def _hull(
-    coefficients: Float[Array, "m n d"], durations: Float[Array, "m"], derivative: int, pieces: int
-) -> Float[Array, "m p c d"]:
+    coefficients: Float[AnyArray, "m n d"], durations: Float[AnyArray, "m"], derivative: int, pieces: int
+) -> Float[AnyArray, "m p c d"]:
     """Bernstein coefficients of a time derivative on equal parts of every segment; 0 on padding."""
     xp = _namespace(coefficients)
     table = xp.asarray(_hull_table(coefficients.shape[1], derivative, pieces), dtype=coefficients.dtype)
@@ -296,12 +302,12 @@ def _namespace(*arrays: Any) -> ModuleType:
 
 
 def _horner(
-    coefficients: Float[Array, "*t n d"],
-    s: Float[Array, "*t"],
-    duration: Float[Array, "*t"],
+    coefficients: Float[AnyArray, "*t n d"],
+    s: Float[AnyArray, "*t"],
+    duration: Float[AnyArray, "*t"],
     derivative: int,
     xp: ModuleType,
-) -> Float[Array, "*t d"]:
+) -> Float[AnyArray, "*t d"]:
     """Value of the ``derivative``-th time derivative of ascending polynomials in normalised time."""
     value = xp.zeros(coefficients.shape[:-2] + coefficients.shape[-1:], coefficients.dtype)
     for power in range(coefficients.shape[-2] - 1, derivative - 1, -1):

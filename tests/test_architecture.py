@@ -9,7 +9,7 @@ from sources import Import, code, offenders
 
 LAYERS = [
     {"records", "status", "errors", "numerics", "precision", "batching", "compilation"}
-    | {"versions", "config", "weights", "mjcf_probe", "arrays", "validation"},
+    | {"versions", "config", "weights", "mjcf_probe", "arrays", "validation", "files"},
     {"spline"},
     {"minsnap", "vehicle", "world"},
     {"prediction", "search", "knots", "policy", "arrival", "selection", "tracking", "feasibility"},
@@ -26,6 +26,7 @@ SIBLINGS = {
     ("weights", "errors"),
     ("mjcf_probe", "errors"),
     ("validation", "errors"),
+    ("files", "errors"),
     ("scenario", "io"),
     ("scenario", "replanner"),
     ("interception", "scenario"),
@@ -46,7 +47,6 @@ OWNERS = {
     "mujoco": (
         "jaxplan/tracking/",
         "benchmarks/",
-        "jaxplan/world/load.py",
         "jaxplan/world/formats/mjcf.py",
         "jaxplan/vehicle/mjcf.py",
     ),

@@ -16,7 +16,7 @@ def draw_scale_factor(rows: Sequence[Mapping[str, float]], path: Path, *, positi
         position: threshold of the labels [m].
         yaw: threshold of the labels [deg].
     """
-    table = {key: np.array([row[key] for row in rows]) for key in rows[0]}
+    table = {key: np.array([row[key] for row in rows], dtype=float) for key in rows[0]}
     figure = Figure(figsize=(10.0, 3.4), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, 3)

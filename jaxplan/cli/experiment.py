@@ -10,13 +10,13 @@ import cyclopts.config
 from cyclopts import App, Parameter
 
 from jaxplan.cli.parameters import EVERY_TOKEN, SEVERAL
-from jaxplan.errors import InputError
+from jaxplan.errors import IncompleteError, InputError
 from jaxplan.versions import require_supported_jax
 
 if TYPE_CHECKING:
     from jaxplan.runner.definition import Experiment
 
-EXIT_QUARANTINED = 14
+EXIT_QUARANTINED = IncompleteError.exit_code
 PRESETS = ("smoke", "small", "full")
 USAGE = "jaxplan experiment NAME --preset smoke|small|full [--workers N | --scheduler ADDRESS] [--out DIR] [--resume]"
 

@@ -1,149 +1,18 @@
-"""``jaxplan train``: remake what was learned from data. Each command writes an artefact and a card beside it."""
+"""``jaxplan train``: remake what was learned from data. Each command writes an artefact and a card beside it.
 
-import dataclasses
-import hashlib
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+The commands are read when one of them is asked for: their options are the fields of configurations that stand beside
+the code that they configure, which takes seconds to import.
+"""
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
-from jaxplan.cli.train_mfrl import mfrl
-from jaxplan.cli.train_policy import dataset, pretrain
-from jaxplan.versions import require_supported_jax
+from jaxplan.cli.parameters import SEVERAL
 
-if TYPE_CHECKING:
-    import numpy as np
-
-    from jaxplan.prediction.target_model import TargetModel
-    from jaxplan.prediction.waypoints import WaypointSource
-    from jaxplan.prediction.windows import WindowConfig
-    from jaxplan.world.obstacles import World
-
-train = App(name="train", help="Learn from simulated data what planning needs.")
-for command in (dataset, pretrain, mfrl):
-    train.command(command)
-
-_HELD_OUT = 0.2
-"""Held-out windows, as a share of those that are fitted."""
-_SCORED = 1000
-"""Held-out windows on which the errors of the card are measured."""
-
-
-@train.command
-def gmm(
-    *,
-    world: str | None = None,
-    out: Path,
-    flights: Literal["tours", "chains", "walks"] | None = None,
-    dt: float | None = None,
-    windows: int = 20000,
-    components: Annotated[tuple[int, ...], Parameter(consume_multiple=True)] = (4, 8, 16),
-    floor: float = 0.01,
-    seed: int = 0,
-    debug: bool = False,
-) -> int:
-    """Fit a Gaussian mixture to windows of random minimum-snap flights, for --predictor gmm.
-
-    Parameters
-    ----------
-    world
-        A stored world's name or a map's file. Default: open space, for any world.
-    out
-        Where the mixture is saved (.npy); its card, with command, seed, data hash and scores, goes beside it (.json).
-    flights
-        tours: over far places along searched routes; chains: between free places in sight of each other; walks: in
-        open space. Default: tours in a world, walks without.
-    dt
-        Seconds between two positions. Default: 0.1, and 0.2 in rooms with a diagonal above 20 m.
-    windows
-        How many windows are fitted.
-    components
-        Numbers of components to try; the likelihood of held-out windows decides.
-    floor
-        Standard deviation [m] of an observation's noise.
-    seed
-        Seed of the flights and of the fit.
-    debug
-        Show the traceback of an error.
-    """
-    require_supported_jax()
-    import numpy as np
-
-    from jaxplan.errors import InputError
-    from jaxplan.prediction.gmm import FitConfig, fit_mixture
-    from jaxplan.prediction.protocol import PredictionConfig
-    from jaxplan.prediction.target_model import TargetModel, save_model, window_coordinates
-    from jaxplan.prediction.windows import draw_windows
-    from jaxplan.world.load import load_world
-
-    if out.suffix != ".npy" or not out.parent.is_dir() or windows < 1:
-        have = f"--out {out} and --windows {windows}"
-        raise InputError(f"train gmm: have {have}, want a .npy file in a folder that exists and at least 1; correct it")
-    room = None if world is None else load_world(world)
-    usual = PredictionConfig() if room is None else PredictionConfig.for_world(room)
-    dt = usual.dt if dt is None else dt
-    flights = flights or ("walks" if room is None else "tours")
-    fit_config = FitConfig(components=components, floor=floor, seed=seed)
-    source, config = _flights(flights, room, dt)
-    rng = np.random.default_rng(seed)
-    fitted = draw_windows([source], room, windows, rng, config)
-    held_out = draw_windows([source], room, max(1, int(_HELD_OUT * windows)), rng, config)
-    training, test = (window_coordinates(w, config.observations, room is not None) for w in (fitted, held_out))
-    fit, likelihoods = fit_mixture(training, test, fit_config)
-    name, bounds = ("generic", None) if room is None else (room.name, np.asarray(room.bounds, dtype=float))
-    shape = (config.observations, config.steps, dt)
-    model = TargetModel(name, *shape, bounds, fit.weights, fit.means, fit.factors)
-    options = {"world": world, "out": out.name, "flights": flights, "dt": dt, "windows": windows}
-    options |= {"components": " ".join(map(str, components)), "floor": floor, "seed": str(seed)}
-    origin = {
-        "command": "jaxplan train gmm " + " ".join(f"--{key} {value}" for key, value in options.items() if value),
-        "seed": seed,
-        "data_sha256": hashlib.sha256(fitted.astype("<f8").tobytes()).hexdigest(),
-        "held_out_log_likelihood": {str(count): round(value, 3) for count, value in likelihoods.items()},
-        "held_out_scores": _scores(model, held_out[:_SCORED], room),
-        "versions": _versions(),
-    }
-    save_model(model, out, origin)
-    for count, value in likelihoods.items():
-        print(f"{count:>3} components: mean log-likelihood of held-out windows {value:.2f}")
-    print(f"{out}: {len(fit.weights)} components, {out.stat().st_size / 1e6:.2f} MB")
-    return 0
-
-
-def _flights(kind: str, room: "World | None", dt: float) -> "tuple[WaypointSource, WindowConfig]":
-    """Where waypoints come from, and how flights are cut."""
-    from jaxplan.errors import InputError
-    from jaxplan.prediction.waypoints import ChainConfig, chains, walks
-    from jaxplan.prediction.windows import OPEN_SPACE, WindowConfig
-    from jaxplan.training.tours import tours
-
-    if (room is None) != (kind == "walks"):
-        raise InputError(f"--flights: have {kind!r}, want walks without --world and tours or chains with it")
-    if room is None:
-        return walks(), dataclasses.replace(OPEN_SPACE, dt=dt)
-    config = WindowConfig(dt=dt)
-    source = tours(room, config.margin) if kind == "tours" else chains(room, ChainConfig(margin=config.margin))
-    return source, config
-
-
-def _scores(model: "TargetModel", windows: "np.ndarray", room: "World | None") -> dict[str, Any]:
-    """Errors, likelihood and coverage of the mixture, and the errors of constant velocity, on the same windows."""
-    from jaxplan.prediction.predictors import build_predictor
-    from jaxplan.prediction.protocol import PredictionConfig
-    from jaxplan.prediction.scores import observe_windows, score
-
-    config = PredictionConfig(steps=model.steps, dt=model.dt, observations=model.observations)
-
-    seen, futures = observe_windows(windows, model.observations, model.dt)
-    found: dict[str, Any] = {"windows": len(windows)}
-    for name in ("gmm", "constant-velocity"):
-        predictor = build_predictor(name, config, model=model, world=room)
-        summary = score([predictor.predict(observations) for observations in seen], futures).summary()
-        found[name] = {key: None if value is None else round(value, 4) for key, value in summary.items()}
-    return found
-
-
-def _versions() -> dict[str, str]:
-    from importlib import metadata
-
-    return {package: metadata.version(package) for package in ("jaxplan", "numpy", "scikit-learn")}
+train = App(name="train", help="Learn from simulated data what planning needs.", default_parameter=SEVERAL)
+for module, command in (
+    ("train_policy", "dataset"),
+    ("train_policy", "pretrain"),
+    ("train_mfrl", "mfrl"),
+    ("train_gmm", "gmm"),
+):
+    train.command(f"jaxplan.cli.{module}:{command}", name=command)

@@ -8,11 +8,10 @@ that fails leaves the files of an earlier run untouched.
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
-from jaxplan.errors import ResourceError
+from jaxplan.files import Writer, cannot_write, create_folder, flush, remove_folders, write_through
 
 
 class OutputFolder:
@@ -24,15 +23,12 @@ class OutputFolder:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._created: list[Path] = []
+        self._created = create_folder(self.path)
         try:
-            self._create_folders()
             self._staging = Path(tempfile.mkdtemp(prefix=".partial-", dir=self.path))
-            _write_through(self._staging / "probe", b"probe")
-            (self._staging / "probe").unlink()
         except OSError as error:
-            self._clean_up()
-            raise _refusal(self.path, error) from error
+            remove_folders(self._created)
+            raise cannot_write(self.path, error) from error
         self._names: list[str] = []
 
     def __enter__(self) -> "OutputFolder":
@@ -43,19 +39,14 @@ class OutputFolder:
     ) -> None:
         self._clean_up()
 
-    def write(self, name: str, writer: Callable[[Path], None]) -> None:
-        """Stage the file ``name`` by calling ``writer`` with the path to write to.
-
-        The path keeps the ending of ``name``. Raises ``ResourceError`` where the disk refuses.
-        """
+    def write(self, name: str, content: str | bytes | Writer) -> None:
+        """Stage the file ``name``: text, bytes, or what writes it. Raises ``ResourceError`` where the disk refuses."""
         if Path(name).name != name or name.startswith("."):
             raise ValueError(f"an output file needs a plain name, have {name!r}")
-        staged = self._staging / name
         try:
-            writer(staged)
-            _flush(staged)
+            write_through(self._staging / name, content)
         except OSError as error:
-            raise _refusal(self.path / name, error) from error
+            raise cannot_write(self.path / name, error) from error
         if name not in self._names:
             self._names.append(name)
 
@@ -64,45 +55,12 @@ class OutputFolder:
         try:
             for name in self._names:
                 os.replace(self._staging / name, self.path / name)
-            _flush(self.path)
+            flush(self.path)
         except OSError as error:
-            raise _refusal(self.path, error) from error
+            raise cannot_write(self.path, error) from error
         self._names.clear()
         self._created.clear()
 
-    def _create_folders(self) -> None:
-        missing = [folder for folder in (self.path, *self.path.parents) if not folder.exists()]
-        for folder in reversed(missing):
-            folder.mkdir(exist_ok=True)
-            self._created.append(folder)
-
     def _clean_up(self) -> None:
-        staging = getattr(self, "_staging", None)
-        if staging is not None:
-            shutil.rmtree(staging, ignore_errors=True)
-        for folder in reversed(self._created):
-            try:
-                folder.rmdir()
-            except OSError:
-                return
-
-
-def _write_through(path: Path, content: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _flush(path: Path) -> None:
-    """Force a file or a folder to the disk."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _refusal(path: Path, error: OSError) -> ResourceError:
-    reason = error.strerror or type(error).__name__
-    return ResourceError(f"cannot write {str(path)!r}: {reason}; choose another --out or free the disk")
+        shutil.rmtree(self._staging, ignore_errors=True)
+        remove_folders(self._created)

@@ -2,19 +2,21 @@
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
+from numpy.typing import ArrayLike
 
-from jaxplan.batching import in_parts
+from jaxplan.arrays import AnyArray
+from jaxplan.batching import batch_last, in_parts
 from jaxplan.errors import InputError
-from jaxplan.minsnap.quadratic_program import Ends, cost, knot_derivatives, problem, segment_coefficients
+from jaxplan.minsnap.quadratic_program import Ends, cost, knot_derivatives, make_problem, segment_coefficients
 from jaxplan.minsnap.single import POSITION_ORDER, YAW_ORDER, Terminal, ends_of, interpolate, yaw_ends
 from jaxplan.minsnap.spline_batch import SplineBatch
-from jaxplan.minsnap.status import RESIDUAL_LIMIT, SolveStatus, flag, harmless, judge, unsolved
+from jaxplan.minsnap.status import RESIDUAL_LIMIT, SolveStatus, finite_problems, flag, problem_status, unsolved
 from jaxplan.precision import in_float64_inside, is_numpy
 from jaxplan.records import record
 
@@ -25,25 +27,25 @@ class MinimumSnapBatch:
 
     splines: SplineBatch
     """Position and yaw; yaw is 0 where none was asked for."""
-    cost: Float[Array, "b"]
-    """Integral of the squared snap [m^2/s^7]; infinite where the problem could not be posed."""
-    yaw_cost: Float[Array, "b"]
+    cost: Float[AnyArray, "b"]
+    """Integral of the squared snap [m^2/s^7]; infinite where the problem could not be solved."""
+    yaw_cost: Float[AnyArray, "b"]
     """Integral of the squared yaw acceleration [rad^2/s^3]."""
-    residual: Float[Array, "b"]
+    residual: Float[AnyArray, "b"]
     """Largest slope of the cost in a free knot derivative, relative to its bound; 1e-15 to 1e-11 is usual."""
-    status: UInt32[Array, "b"]
+    status: UInt32[AnyArray, "b"]
     """``SolveStatus`` bits; 0 is a solution."""
 
 
 def minimum_snap_batch(
-    waypoints: Float[Array, "m+1 3 b"],
-    durations: Float[Array, "m b"],
+    waypoints: Annotated[ArrayLike, "m+1 3 b"],
+    durations: Annotated[ArrayLike, "m b"],
     *,
-    initial: Float[Array, "r 3 b"] | Float[Array, "r 3"] | None = None,
-    terminal: Terminal | Float[Array, "r 3 b"] | Float[Array, "r 3"] = "rest",
+    initial: Annotated[ArrayLike, "r 3 b or r 3"] | None = None,
+    terminal: Terminal | Annotated[ArrayLike, "r 3 b or r 3"] = "rest",
     fixed_order: int = 4,
-    yaw: Float[Array, "m+1 b"] | None = None,
-    initial_yaw: Float[Array, "2 b"] | Float[Array, "2"] | None = None,
+    yaw: Annotated[ArrayLike, "m+1 b"] | None = None,
+    initial_yaw: Annotated[ArrayLike, "2 b or 2"] | None = None,
 ) -> MinimumSnapBatch:
     """``minimum_snap`` for b problems at once: the batch is the **last** axis, for speed.
 
@@ -91,13 +93,14 @@ def _unpacked(ends: Ends, present: tuple[bool, ...], *wanted: Array) -> MinimumS
     return solve_batch(ends, *(next(values) if there else None for there in present))
 
 
+@batch_last
 def solve_batch(
     ends: Ends,
-    waypoints: Float[Array, "m+1 3 b"],
+    waypoints: Float[Array, "knots 3 b"],
     durations: Float[Array, "m b"],
     initial: Float[Array, "4 3 b"] | None,
     terminal: Float[Array, "4 3 b"] | None,
-    yaw: Float[Array, "m+1 b"] | None,
+    yaw: Float[Array, "knots b"] | None,
     initial_yaw: Float[Array, "2 b"] | None,
 ) -> MinimumSnapBatch:
     """The traced core of ``minimum_snap_batch``, in the precision of its arguments."""
@@ -105,15 +108,15 @@ def solve_batch(
     given = [a[: ends.fixed] for a in (initial, terminal) if a is not None]
     given += [a[:, None] for a in (yaw, initial_yaw) if a is not None]
     initial = jnp.zeros((POSITION_ORDER, 3, lanes), dtype) if initial is None else initial
-    status = judge(waypoints, durations, *given)
+    status = problem_status(waypoints, durations, *given)
     skip = unsolved(status)
-    points, times = harmless(waypoints, durations, skip)
+    points, times = finite_problems(waypoints, durations, skip)
     start = jnp.where(skip, 0.0, initial)
     goal = None if terminal is None else jnp.where(skip, 0.0, terminal)
-    posed = problem(times, points, start, goal, ends)
-    knots = knot_derivatives(posed, ends)
-    position = segment_coefficients(posed, points[:-1], knots)
-    value, residual = cost(posed, ends)
+    problem = make_problem(times, points, start, goal, ends)
+    knots = knot_derivatives(problem, ends)
+    position = segment_coefficients(problem, points[:-1], knots)
+    value, residual = cost(problem, ends)
     value = jnp.where(skip, jnp.inf, value)
     heading, yaw_value = _solve_yaw(times, yaw, initial_yaw, skip, ends)
     status |= flag(~(residual <= RESIDUAL_LIMIT), SolveStatus.ILL_CONDITIONED)
@@ -123,7 +126,7 @@ def solve_batch(
 
 def _solve_yaw(
     times: Float[Array, "m b"],
-    yaw: Float[Array, "m+1 b"] | None,
+    yaw: Float[Array, "knots b"] | None,
     initial_yaw: Float[Array, "2 b"] | None,
     skip: Array,
     ends: Ends,
@@ -135,9 +138,9 @@ def _solve_yaw(
     headings = jnp.zeros((segments + 1, lanes), times.dtype) if yaw is None else yaw
     turning = jnp.zeros((YAW_ORDER, lanes), times.dtype) if initial_yaw is None else initial_yaw
     turning = jnp.where(skip, 0.0, turning)[:, None]
-    headings, _ = harmless(headings[:, None], times, skip)
+    headings, _ = finite_problems(headings[:, None], times, skip)
     position, _ = interpolate(times, headings, turning, None, yaw_ends(ends))
-    return position, cost(problem(times, headings, turning, None, yaw_ends(ends)), yaw_ends(ends))[0]
+    return position, cost(make_problem(times, headings, turning, None, yaw_ends(ends)), yaw_ends(ends))[0]
 
 
 _compiled = jax.jit(solve_batch, static_argnums=0)

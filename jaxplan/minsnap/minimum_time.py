@@ -4,7 +4,7 @@ The limits are tested at sampled instants. At every trial the trajectory is solv
 derivatives, scaling one trajectory would change them.
 """
 
-from collections.abc import Callable
+from typing import Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -15,17 +15,36 @@ from jaxplan.minsnap.single import YAW_ORDER, interpolate
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.spline import FlatState
 
-Margin = Callable[[FlatState], Float[Array, ""]]
-"""How far one flat state is from the vehicle's limits: positive inside (``vehicle.limits.rotor_limit_margin``)."""
-LeastMargin = Callable[[Float[Array, "m b"]], Float[Array, "b"]]
-"""The least margin of the best trajectory for given durations, over its sampled instants."""
+
+@runtime_checkable
+class Margin(Protocol):
+    """How far one flat state is from the vehicle's limits (``vehicle.limits.rotor_limit_margin``)."""
+
+    def __call__(self, state: FlatState, /) -> Float[Array, ""]:
+        """Positive inside the limits, in any unit."""
+
+
+@runtime_checkable
+class LeastMargin(Protocol):
+    """The least margin of the best trajectory for given durations, over its sampled instants."""
+
+    def __call__(self, durations: Float[Array, "m b"], /) -> Float[Array, "b"]:
+        """``durations`` in seconds per segment."""
+
+
+@runtime_checkable
+class Reshare(Protocol):
+    """Distributes a total time best."""
+
+    def __call__(self, durations: Float[Array, "m b"], total: Float[Array, "b"], /) -> Float[Array, "m b"]:
+        """From ``durations`` [s] to others that add up to ``total`` [s]."""
 
 
 def least_margin(
     margin: Margin,
-    points: Float[Array, "m+1 3 b"],
+    points: Float[Array, "knots 3 b"],
     initial: Float[Array, "4 3 b"],
-    yaw: Float[Array, "m+1 b"] | None,
+    yaw: Float[Array, "knots b"] | None,
     durations: Float[Array, "m b"],
     instants: int,
 ) -> Float[Array, "b"]:
@@ -45,7 +64,7 @@ def least_margin(
 
 def shortest_alternated(
     least: LeastMargin,
-    reshare: Callable[[Float[Array, "m b"], Float[Array, "b"]], Float[Array, "m b"]],
+    reshare: Reshare,
     durations: Float[Array, "m b"],
     rounds: int,
     bisections: int,

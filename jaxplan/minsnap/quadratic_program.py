@@ -26,8 +26,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
+from jaxplan.batching import batch_last
 from jaxplan.minsnap import block_tridiagonal, hermite
 
 
@@ -58,9 +59,10 @@ REST = Ends(4)
 """Everything is given at the start, and the goal is reached at rest."""
 
 
-def problem(
+@batch_last
+def make_problem(
     durations: Float[Array, "m b"],
-    points: Float[Array, "m+1 d b"],
+    points: Float[Array, "knots d b"],
     initial: Float[Array, "r d b"],
     terminal: Float[Array, "r d b"] | None,
     ends: Ends,
@@ -72,7 +74,8 @@ def problem(
     return Problem(durations, steps, jnp.where(given, initial, 0.0), goal)
 
 
-def knot_derivatives(problem: Problem, ends: Ends) -> Float[Array, "m+1 r d b"]:
+@batch_last
+def knot_derivatives(problem: Problem, ends: Ends) -> Float[Array, "knots r d b"]:
     """Optimal derivatives 1..r at every knot; 0 behind the last real one."""
     powers, push = _weights(problem.durations, len(problem.start))
     inner = _unknown_knots(problem, ends)
@@ -89,13 +92,15 @@ def knot_derivatives(problem: Problem, ends: Ends) -> Float[Array, "m+1 r d b"]:
     return _with_ends(problem, solved * scale[:, :, None])
 
 
+@batch_last
 def cost(problem: Problem, ends: Ends) -> tuple[Float[Array, "b"], Float[Array, "b"]]:
     """The optimal cost, the integral of the squared r-th derivative [m^2/s^(2r-1)], and its ``gradient``'s residual."""
     return _cost_of(ends)(problem)
 
 
+@batch_last
 def gradient(
-    problem: Problem, knots: Float[Array, "m+1 r d b"], ends: Ends
+    problem: Problem, knots: Float[Array, "knots r d b"], ends: Ends
 ) -> tuple[Float[Array, "b"], Problem, Float[Array, "b"]]:
     """The cost at its optimal ``knots``, its gradient, and how far the optimality conditions are from holding.
 
@@ -121,7 +126,7 @@ def gradient(
 
 
 def _energies(
-    problem: Problem, knots: Float[Array, "m+1 r d b"], root: np.ndarray
+    problem: Problem, knots: Float[Array, "knots r d b"], root: np.ndarray
 ) -> tuple[Float[Array, "m b"], Float[Array, "m b"], list[Float[Array, "m d b"]]]:
     """The cost of each segment, its derivative by the duration, and twice the Legendre components it is made of.
 
@@ -139,7 +144,8 @@ def _energies(
     return energies, by_duration, [doubled[:, row] for row in range(order + 2)]
 
 
-def segment_coefficients(problem: Problem, starts: Float[Array, "m d b"], knots: Float[Array, "m+1 r d b"]) -> Array:
+@batch_last
+def segment_coefficients(problem: Problem, starts: Float[Array, "m d b"], knots: Float[Array, "knots r d b"]) -> Array:
     """Ascending coefficients (m, n, d, b) in normalised time (n = 2r+2) from waypoints and knot derivatives."""
     order = knots.shape[1]
     columns = np.concatenate([np.eye(2 * order + 2, 1), hermite.coefficients(order)[:, 1:]], axis=1)
@@ -163,7 +169,7 @@ def _cost_of(ends: Ends) -> Callable[[Problem], tuple[Array, Array]]:
     return optimal
 
 
-def _end_values(problem: Problem, knots: Float[Array, "m+1 r d b"]) -> list[Float[Array, "m d b"]]:
+def _end_values(problem: Problem, knots: Float[Array, "knots r d b"]) -> list[Float[Array, "m d b"]]:
     """End values of each segment in normalised time: derivatives at its start, step, derivatives at its end."""
     powers = _powers(problem.durations, knots.shape[1])
     left = [knots[:-1, k] * power[:, None] for k, power in enumerate(powers)]
@@ -204,7 +210,7 @@ def _pull(
     return pull.at[: len(given)].add(scale[: len(given)] * given)
 
 
-def _with_ends(problem: Problem, free: Float[Array, "k r d b"] | None) -> Float[Array, "m+1 r d b"]:
+def _with_ends(problem: Problem, free: Float[Array, "k r d b"] | None) -> Float[Array, "knots r d b"]:
     """Derivatives at every knot: the unknown ones, 0 when omitted, and the prescribed ones."""
     count = len(problem.durations) + 1
     nothing = jnp.zeros_like(problem.start)[None]
@@ -246,7 +252,7 @@ def _unknown_knots(problem: Problem, ends: Ends) -> slice:
     return slice(1, last) if ends.fixed >= order and not ends.goal_free else slice(0, last + 1)
 
 
-def _known(problem: Problem, ends: Ends) -> Bool[Array, "m+1 r b"]:
+def _known(problem: Problem, ends: Ends) -> Bool[Array, "knots r b"]:
     """Which knot derivatives are prescribed: those of the ends, and all behind the goal."""
     index = jnp.arange(len(problem.durations) + 1)[:, None, None]
     last = _count(problem.durations)[None, None]
@@ -258,7 +264,7 @@ def _given(order: int, ends: Ends) -> Bool[Array, "r 1"]:
     return (jnp.arange(1, order + 1) <= ends.fixed)[:, None]
 
 
-def _count(durations: Float[Array, "m b"]) -> Float[Array, "b"]:
+def _count(durations: Float[Array, "m b"]) -> Int[Array, "b"]:
     return jnp.sum(durations > 0.0, axis=0)
 
 
@@ -283,7 +289,7 @@ def _powers(durations: Float[Array, "m b"], order: int) -> list[Float[Array, "m 
     return powers
 
 
-def _at_knots(from_left: Float[Array, "m r d b"], from_right: Float[Array, "m r d b"]) -> Float[Array, "m+1 r d b"]:
+def _at_knots(from_left: Float[Array, "m r d b"], from_right: Float[Array, "m r d b"]) -> Float[Array, "knots r d b"]:
     """Sum at every knot of what the segment before it and the segment behind it contribute."""
     width = ((1, 0), (0, 0), (0, 0), (0, 0))
     return jnp.pad(from_left, width) + jnp.pad(from_right, (width[0][::-1], *width[1:]))

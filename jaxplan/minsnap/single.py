@@ -1,13 +1,15 @@
 """Minimum-snap trajectories: position of degree 9 in C4, yaw of degree 5 in C2 (paper eq. 3 and 4)."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import jax
 import numpy as np
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
+from jaxplan.batching import batch_last
 from jaxplan.errors import InputError
-from jaxplan.minsnap.quadratic_program import Ends, knot_derivatives, problem, segment_coefficients
+from jaxplan.minsnap.quadratic_program import Ends, knot_derivatives, make_problem, segment_coefficients
 from jaxplan.precision import in_float64
 from jaxplan.spline import PiecewisePolynomial
 
@@ -17,13 +19,14 @@ YAW_ORDER = 2
 Terminal = Literal["rest", "free"]
 
 
+@batch_last
 def interpolate(
     durations: Float[Array, "m b"],
-    points: Float[Array, "m+1 d b"],
+    points: Float[Array, "knots d b"],
     initial: Float[Array, "r d b"],
     terminal: Float[Array, "r d b"] | None = None,
     ends: Ends | None = None,
-) -> tuple[Float[Array, "m n d b"], Float[Array, "m+1 r d b"]]:
+) -> tuple[Float[Array, "m n d b"], Float[Array, "knots r d b"]]:
     """The smoothest spline through ``points`` that starts with ``initial`` derivatives and ends as ``ends`` says.
 
     The order r is that of ``initial``: 4 minimises snap, 2 acceleration. At rest at the goal when ``ends`` is
@@ -33,21 +36,21 @@ def interpolate(
         Ascending coefficients in normalised time (n = 2r+2), and the derivatives at every knot.
     """
     ends = ends or Ends(initial.shape[0])
-    posed = problem(durations, points, initial, terminal, ends)
-    knots = knot_derivatives(posed, ends)
-    return segment_coefficients(posed, points[:-1], knots), knots
+    problem = make_problem(durations, points, initial, terminal, ends)
+    knots = knot_derivatives(problem, ends)
+    return segment_coefficients(problem, points[:-1], knots), knots
 
 
 @in_float64
 def minimum_snap(
-    waypoints: Float[np.ndarray, "m+1 3"],
-    durations: Float[np.ndarray, "m"],
+    waypoints: Annotated[ArrayLike, "m+1 3"],
+    durations: Annotated[ArrayLike, "m"],
     *,
-    initial: Float[np.ndarray, "r 3"] | None = None,
-    terminal: Terminal | Float[np.ndarray, "r 3"] = "rest",
-    fixed_order: Literal[3, 4] = 4,
-    yaw: Float[np.ndarray, "m+1"] | None = None,
-    initial_yaw: Float[np.ndarray, "2"] | None = None,
+    initial: Annotated[ArrayLike, "r 3"] | None = None,
+    terminal: Terminal | Annotated[ArrayLike, "r 3"] = "rest",
+    fixed_order: int = 4,
+    yaw: Annotated[ArrayLike, "m+1"] | None = None,
+    initial_yaw: Annotated[ArrayLike, "2"] | None = None,
 ) -> PiecewisePolynomial:
     """The minimum-snap trajectory through ``waypoints`` [m] that spends ``durations`` [s] between them.
 
@@ -84,8 +87,8 @@ _interpolate = jax.jit(interpolate, static_argnames="ends")
 
 def checked_ends(
     name: str,
-    initial: Float[np.ndarray, "r 3"] | None,
-    terminal: Terminal | Float[np.ndarray, "r 3"],
+    initial: Annotated[ArrayLike, "r 3"] | None,
+    terminal: Terminal | Annotated[ArrayLike, "r 3"],
     fixed_order: int,
 ) -> tuple[Float[np.ndarray, "4 3"], Float[np.ndarray, "4 3"], Ends]:
     """The prescribed derivatives at the start and at the goal, and which of them count (host)."""
@@ -110,7 +113,7 @@ def yaw_ends(ends: Ends) -> Ends:
     return Ends(YAW_ORDER, goal_free=ends.goal_free)
 
 
-def _end_values(name: str, what: str, given: np.ndarray | None, fixed_order: int) -> Float[np.ndarray, "4 3"]:
+def _end_values(name: str, what: str, given: ArrayLike | None, fixed_order: int) -> Float[np.ndarray, "4 3"]:
     """Velocity to snap at one end, with the rows that are not prescribed 0."""
     values = np.zeros((POSITION_ORDER, 3))
     if given is None:
@@ -124,7 +127,7 @@ def _end_values(name: str, what: str, given: np.ndarray | None, fixed_order: int
     return values
 
 
-def _checked(waypoints: np.ndarray, durations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _checked(waypoints: ArrayLike, durations: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     points = np.asarray(waypoints, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
         raise InputError(f"minimum_snap: waypoints have shape {points.shape}, want (m+1, 3) with at least 2 rows")
@@ -139,7 +142,7 @@ def _checked(waypoints: np.ndarray, durations: np.ndarray) -> tuple[np.ndarray, 
     return points, times
 
 
-def _array(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def _array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     array = np.asarray(value, dtype=np.float64)
     if array.shape != shape:
         raise InputError(f"minimum_snap: {name} has shape {array.shape}, want {shape}")

@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxplan.arrays import AnyArray
+from jaxplan.batching import batch_last
 from jaxplan.minsnap import hermite
 from jaxplan.minsnap.single import POSITION_ORDER, YAW_ORDER, interpolate
 from jaxplan.numerics import wrap_angle
@@ -21,9 +23,12 @@ SLOWEST_HEADING = 0.2
 class SplineBatch:
     """k splines of up to m segments; durations of 0 mark padding, whose position is the goal."""
 
-    durations: Float[Array, "m k"]
-    position: Float[Array, "m 10 3 k"]
-    yaw: Float[Array, "m 6 1 k"]
+    durations: Float[AnyArray, "m k"]
+    """Seconds per segment; 0 marks padding."""
+    position: Float[AnyArray, "m 10 3 k"]
+    """Ascending coefficients in normalised time, metres."""
+    yaw: Float[AnyArray, "m 6 1 k"]
+    """Ascending coefficients in normalised time, radians (unwrapped)."""
 
     def spline(self, index: int) -> PiecewisePolynomial:
         """One of the splines on its own, in NumPy float64, without its padding (host)."""
@@ -35,6 +40,7 @@ class SplineBatch:
             yaw=np.asarray(self.yaw)[real][:, :, 0, index],
         )
 
+    @batch_last
     def states(self, count: int) -> FlatStateBatch:
         """Flat states at ``count`` instants evenly spaced over each spline's own duration, ends included.
 
@@ -61,6 +67,7 @@ class SplineBatch:
         found = jnp.take_along_axis(both, segment[None], axis=1)
         return found[: width * axes].reshape(width, axes, *segment.shape), found[width * axes :]
 
+    @batch_last
     def derivatives(self, s: np.ndarray) -> Float[Array, "m s 5 3 k"]:
         """Position to snap at the normalised times ``s`` of every segment; derivatives are 0 on padding."""
         segments, width, axes, lanes = self.position.shape
@@ -73,6 +80,7 @@ class SplineBatch:
             values.append(sampled * (rate**derivative)[:, None, None])
         return jnp.stack(values, axis=2)
 
+    @batch_last
     def yaw_derivatives(self, s: np.ndarray) -> Float[Array, "m s 3 k"]:
         """Yaw, yaw rate and yaw acceleration at the normalised times ``s`` of every segment."""
         rate = jnp.where(self.durations > 0.0, 1.0 / jnp.where(self.durations > 0.0, self.durations, 1.0), 0.0)
@@ -83,8 +91,9 @@ class SplineBatch:
         return jnp.stack(values, axis=2)
 
 
+@batch_last
 def fit(
-    state: FlatState, waypoints: Float[Array, "m+1 3 k"], durations: Float[Array, "m k"], max_yaw_rate: float
+    state: FlatState, waypoints: Float[Array, "knots 3 k"], durations: Float[Array, "m k"], max_yaw_rate: float
 ) -> SplineBatch:
     """Minimum-snap splines from one flat state through each lane's waypoints to rest at its goal.
 
@@ -94,8 +103,9 @@ def fit(
     return fit_each(state.repeated(waypoints.shape[-1]), waypoints, durations, max_yaw_rate)
 
 
+@batch_last
 def fit_each(
-    states: FlatStateBatch, waypoints: Float[Array, "m+1 3 k"], durations: Float[Array, "m k"], max_yaw_rate: float
+    states: FlatStateBatch, waypoints: Float[Array, "knots 3 k"], durations: Float[Array, "m k"], max_yaw_rate: float
 ) -> SplineBatch:
     """``fit`` from a state of its own for every lane."""
     points = waypoints.at[0].set(states.pos)
@@ -116,8 +126,8 @@ def _horner(
 
 
 def _headings(
-    start: Float[Array, "k"], velocity: Float[Array, "m+1 2 k"], durations: Float[Array, "m k"], max_rate: float
-) -> Float[Array, "m+1 k"]:
+    start: Float[Array, "k"], velocity: Float[Array, "knots 2 k"], durations: Float[Array, "m k"], max_rate: float
+) -> Float[Array, "knots k"]:
     """Unwrapped yaw [rad] at the knots: the direction of the horizontal velocity, rate-limited."""
 
     def turn(yaw: Float[Array, "k"], knot: tuple) -> tuple[Float[Array, "k"], Float[Array, "k"]]:

@@ -5,6 +5,8 @@ import enum
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, UInt32
 
+from jaxplan.batching import batch_last
+
 RESIDUAL_LIMIT = 1e-6
 """Largest relative residual of the optimality conditions that counts as solved (arbitrary; usual values are 1e-13)."""
 
@@ -35,8 +37,9 @@ def flag(bad: Bool[Array, "b"], status: SolveStatus) -> UInt32[Array, "b"]:
     return jnp.where(bad, jnp.uint32(int(status)), jnp.uint32(0))
 
 
-def judge(
-    waypoints: Float[Array, "m+1 d b"], durations: Float[Array, "m b"], *given: Float[Array, "r d b"]
+@batch_last
+def problem_status(
+    waypoints: Float[Array, "knots d b"], durations: Float[Array, "m b"], *given: Float[Array, "r d b"]
 ) -> UInt32[Array, "b"]:
     """NONFINITE, DURATIONS and COINCIDENT of every problem. Waypoints behind the goal may be anything."""
     count = jnp.sum(durations > 0.0, axis=0)
@@ -60,10 +63,11 @@ def unsolved(status: UInt32[Array, "b"]) -> Bool[Array, "b"]:
     return (status & jnp.uint32(int(UNSOLVED))) != 0
 
 
-def harmless(
-    waypoints: Float[Array, "m+1 d b"], durations: Float[Array, "m b"], skip: Bool[Array, "b"]
-) -> tuple[Float[Array, "m+1 d b"], Float[Array, "m b"]]:
-    """The same batch with every value finite: empty problems where ``skip``, the goal repeated on padding."""
+@batch_last
+def finite_problems(
+    waypoints: Float[Array, "knots d b"], durations: Float[Array, "m b"], skip: Bool[Array, "b"]
+) -> tuple[Float[Array, "knots d b"], Float[Array, "m b"]]:
+    """Waypoints and durations with every value finite: empty problems where ``skip``, the goal repeated on padding."""
     durations = jnp.where(skip, 0.0, durations)
     count = jnp.sum(durations > 0.0, axis=0)
     goal = jnp.take_along_axis(waypoints, count[None, None], axis=0)

@@ -12,21 +12,24 @@ nor rho changes the iterations. (c) starts from (b): ``minimum_time``.
 
 import dataclasses
 import functools
-from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
+from numpy.typing import ArrayLike
 
+from jaxplan.arrays import AnyArray
+from jaxplan.batching import batch_last
 from jaxplan.errors import InputError
 from jaxplan.minsnap.bfgs import minimise
 from jaxplan.minsnap.minimum_time import Margin, least_margin, shortest_alternated
-from jaxplan.minsnap.quadratic_program import REST, Ends, gradient, knot_derivatives, problem
+from jaxplan.minsnap.quadratic_program import REST, Ends, gradient, knot_derivatives, make_problem
 from jaxplan.minsnap.single import YAW_ORDER
-from jaxplan.minsnap.status import SolveStatus, flag, harmless, judge, unsolved
+from jaxplan.minsnap.status import SolveStatus, finite_problems, flag, problem_status, unsolved
 from jaxplan.records import record
+from jaxplan.validation import require_at_least, require_positive
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,38 +50,34 @@ class TimeAllocationConfig:
     """mu_psi of the paper's eq. 3, with mu_r = 1 (the predecessors' choice)."""
 
     def __post_init__(self) -> None:
-        if not self.tolerance > 0.0:
-            raise InputError(f"time_allocation: tolerance is {self.tolerance}, want a positive number")
-        for name in ("max_evaluations", "instants", "rounds", "bisections"):
-            if not getattr(self, name) >= 1:
-                raise InputError(f"time_allocation: {name} is {getattr(self, name)}, want 1 or more")
-        if not self.yaw_weight >= 0.0:
-            raise InputError(f"time_allocation: yaw_weight is {self.yaw_weight}, want 0 or more")
+        require_positive("time_allocation", self, "tolerance")
+        require_at_least("time_allocation", self, 1, "max_evaluations", "instants", "rounds", "bisections")
+        require_at_least("time_allocation", self, 0, "yaw_weight")
 
 
 @record
 class TimeAllocation:
     """Optimised durations; the batch is the last axis."""
 
-    durations: Float[Array, "m b"]
+    durations: Float[AnyArray, "m b"]
     """Seconds per segment; 0 on padding and where there is no solution."""
-    cost: Float[Array, "b"]
+    cost: Float[AnyArray, "b"]
     """The minimised quantity: rho * T + sigma, sigma, or T [s]; infinite where there is no solution."""
-    evaluations: Int[Array, "b"]
+    evaluations: Int[AnyArray, "b"]
     """Evaluations of cost and gradient that each problem took."""
-    status: UInt32[Array, "b"]
+    status: UInt32[AnyArray, "b"]
     """``SolveStatus`` bits; 0 is a solution."""
 
 
 def time_allocation(
-    waypoints: Float[np.ndarray, "m+1 3 b"],
+    waypoints: Annotated[ArrayLike, "m+1 3 b"],
     *,
     time_weight: float | None = None,
-    total_time: float | Float[np.ndarray, "b"] | None = None,
+    total_time: float | Annotated[ArrayLike, "b"] | None = None,
     margin: Margin | None = None,
-    segments: Int[np.ndarray, "b"] | None = None,
-    initial: Float[np.ndarray, "4 3 b"] | Float[np.ndarray, "4 3"] | None = None,
-    yaw: Float[np.ndarray, "m+1 b"] | None = None,
+    segments: Annotated[ArrayLike, "b"] | None = None,
+    initial: Annotated[ArrayLike, "4 3 b or 4 3"] | None = None,
+    yaw: Annotated[ArrayLike, "m+1 b"] | None = None,
     config: TimeAllocationConfig | None = None,
 ) -> TimeAllocation:
     """Optimal durations for b waypoint sequences at once, from ``initial`` derivatives to rest (host).
@@ -112,22 +111,23 @@ def time_allocation(
         return jax.tree.map(np.asarray, found)
 
 
-def allocate(
+@batch_last
+def optimise_durations(
     kind: str,
     margin: Margin | None,
     config: TimeAllocationConfig,
-    waypoints: Float[Array, "m+1 3 b"],
+    waypoints: Float[Array, "knots 3 b"],
     counts: Int[Array, "b"],
     amount: Float[Array, "b"],
     initial: Float[Array, "4 3 b"],
-    yaw: Float[Array, "m+1 b"] | None,
+    yaw: Float[Array, "knots b"] | None,
 ) -> TimeAllocation:
     """The traced core of ``time_allocation``."""
     real = jnp.arange(len(waypoints) - 1)[:, None] < counts
     given = [initial] if yaw is None else [initial, yaw[:, None]]
-    status = judge(waypoints, jnp.where(real, 1.0, 0.0), *given)
+    status = problem_status(waypoints, jnp.where(real, 1.0, 0.0), *given)
     skip = unsolved(status) | ((status & jnp.uint32(int(SolveStatus.COINCIDENT))) != 0)
-    points, marks = harmless(waypoints, jnp.where(real, 1.0, 0.0), skip)
+    points, marks = finite_problems(waypoints, jnp.where(real, 1.0, 0.0), skip)
     real = marks > 0.0
     start = jnp.where(skip, 0.0, initial)
     smoothness = _smoothness(points, start, yaw, config.yaw_weight)
@@ -158,33 +158,38 @@ def allocate(
     )
 
 
-_compiled = jax.jit(allocate, static_argnums=(0, 1, 2))
+_compiled = jax.jit(optimise_durations, static_argnums=(0, 1, 2))
 
-Smoothness = Callable[[Float[Array, "m b"]], tuple[Float[Array, "b"], Float[Array, "m b"]]]
-"""sigma of the best trajectory for given durations, and its gradient by them."""
+
+@runtime_checkable
+class Smoothness(Protocol):
+    """sigma of the best trajectory for given durations, and its gradient by them."""
+
+    def __call__(self, durations: Float[Array, "m b"]) -> tuple[Float[Array, "b"], Float[Array, "m b"]]:
+        """``durations`` in seconds per segment; 0 marks padding."""
 
 
 def _smoothness(
-    points: Float[Array, "m+1 3 b"],
+    points: Float[Array, "knots 3 b"],
     initial: Float[Array, "4 3 b"],
-    yaw: Float[Array, "m+1 b"] | None,
+    yaw: Float[Array, "knots b"] | None,
     yaw_weight: float,
 ) -> Smoothness:
     ends = Ends(YAW_ORDER)
 
     def sigma(durations: Float[Array, "m b"]) -> tuple[Float[Array, "b"], Float[Array, "m b"]]:
-        posed = problem(durations, points, initial, None, REST)
-        value, partials, _ = gradient(posed, knot_derivatives(posed, REST), REST)
+        problem = make_problem(durations, points, initial, None, REST)
+        value, partials, _ = gradient(problem, knot_derivatives(problem, REST), REST)
         if yaw is None:
             return value, partials.durations
-        turn = problem(durations, yaw[:, None], jnp.zeros((YAW_ORDER, 1, yaw.shape[-1]), yaw.dtype), None, ends)
+        turn = make_problem(durations, yaw[:, None], jnp.zeros((YAW_ORDER, 1, yaw.shape[-1]), yaw.dtype), None, ends)
         yaw_value, yaw_partials, _ = gradient(turn, knot_derivatives(turn, ends), ends)
         return value + yaw_weight * yaw_value, partials.durations + yaw_weight * yaw_partials.durations
 
     return sigma
 
 
-def _first_guess(points: Float[Array, "m+1 3 b"], real: Bool[Array, "m b"]) -> Float[Array, "m b"]:
+def _first_guess(points: Float[Array, "knots 3 b"], real: Bool[Array, "m b"]) -> Float[Array, "m b"]:
     """Typical shares, 1 s in the mean: a power of the distance, longer where the flight starts and stops.
 
     Power and factor are fitted to the optima of random waypoints in a room (least squares in the logarithms).

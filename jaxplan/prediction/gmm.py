@@ -38,7 +38,7 @@ class FitConfig:
     """How a mixture is fitted."""
 
     components: tuple[int, ...] = (4, 8, 16)
-    """Numbers of components that are tried."""
+    """Numbers of components to try; the likelihood of held-out windows decides."""
     floor: float = 0.01
     """Standard deviation [m] of the noise added to every coordinate."""
     shrinkage: float = 1.0
@@ -48,7 +48,7 @@ class FitConfig:
     tolerance: float = 1e-2
     """Gain of log-likelihood per window at which EM stops."""
     seed: int = 0
-    """Of the first guess from which EM starts."""
+    """Seed of the fit, and of the flights where those are drawn for it."""
 
     def __post_init__(self) -> None:
         if not self.components or min(self.components) < 1:

@@ -160,7 +160,7 @@ PREDICTORS: Mapping[str, PredictorKind] = {
     "constant-acceleration": PredictorKind(_constant_acceleration),
     "gmm": PredictorKind(_gmm, sampling=True, learned=True),
 }
-"""By the name that ``--predictor`` takes; ``jaxplan.config.Predictor`` spells the names out for type checkers."""
+"""By the name that ``--predictor`` takes, in the order of ``jaxplan.config.PREDICTORS``."""
 
 
 def _certain(positions: Float[np.ndarray, "s 3"], offsets: Float[np.ndarray, "s"]) -> Prediction:

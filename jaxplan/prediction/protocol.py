@@ -22,7 +22,10 @@ from jaxplan.validation import require_at_least, require_positive
 from jaxplan.world.obstacles import World
 
 LARGE_ROOM = 20.0
-"""Room diagonal [m] from which predictions are 0.2 s apart instead of 0.1 s (paper, Sec. IV)."""
+"""Room diagonal [m] from which predictions are farther apart (paper, Sec. IV)."""
+SPACING = 0.1
+SPACING_IN_LARGE_ROOMS = 0.2
+"""Seconds between predictions (paper, Sec. IV)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,8 +34,8 @@ class PredictionConfig:
 
     steps: int = 20
     """N_pred, intervals ahead."""
-    dt: float = 0.1
-    """Length of an interval [s]; 0.1 for rooms of 10 m, 0.2 for rooms of 30 m."""
+    dt: float = SPACING
+    """Length of an interval [s]; ``for_world`` knows a room's."""
     batch: int = 20
     """N_batch, samples for each interval, for predictors that sample."""
     observations: int = 10
@@ -49,7 +52,7 @@ class PredictionConfig:
     @classmethod
     def for_world(cls, world: World) -> "PredictionConfig":
         """How far and how densely targets are predicted in a room of this size (paper, Sec. IV)."""
-        return cls(dt=0.1 if world.diagonal < LARGE_ROOM else 0.2)
+        return cls(dt=SPACING if world.diagonal < LARGE_ROOM else SPACING_IN_LARGE_ROOMS)
 
     @property
     def offsets(self) -> Float[np.ndarray, "steps"]:

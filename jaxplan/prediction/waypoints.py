@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxplan.errors import InputError
 from jaxplan.validation import require_at_least, require_positive, require_range, require_within
-from jaxplan.world.free_distance import free_distance
+from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.obstacles import World
 
 FLIGHTS = 512
@@ -75,7 +75,7 @@ def chains(world: World, config: ChainConfig = ChainConfig()) -> WaypointSource:
 
     def source(rng: np.random.Generator) -> Float[np.ndarray, "n 3 b"]:
         pool = rng.uniform(lower, upper, (_POOL, 3))
-        pool = pool[free_distance(world, pool) > config.margin]
+        pool = pool[host_free_distance(world, pool) > config.margin]
         if len(pool) < config.waypoints:
             raise InputError(f"windows: {len(pool)} of {_POOL} random places are clear; want a roomier world")
         chain = [pool[rng.integers(len(pool), size=FLIGHTS)]]
@@ -104,7 +104,7 @@ def _next_places(
     onward = rng.random(len(places)) < config.ahead
     fits &= ~onward | ((step * heading).sum(axis=-1) >= 0.0)
     shares = np.linspace(0.0, 1.0, 1 + int(config.step[1] / _SIGHT_STEP))[:, None, None, None]
-    fits &= (free_distance(world, places + shares * step) > 0.5 * config.margin).all(axis=0)
+    fits &= (host_free_distance(world, places + shares * step) > 0.5 * config.margin).all(axis=0)
     rank = np.where(fits, 1e3 - np.arange(_TRIES)[:, None], distance)
     return choice[rank.argmax(axis=0), np.arange(len(places))]
 

@@ -16,7 +16,7 @@ from jaxplan.errors import InputError
 from jaxplan.minsnap.many import minimum_snap_batch
 from jaxplan.prediction.waypoints import FLIGHTS, WaypointSource
 from jaxplan.validation import require_at_least, require_positive, require_range
-from jaxplan.world.free_distance import free_distance
+from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.obstacles import World
 
 _SPEEDS = 10
@@ -113,7 +113,7 @@ def _plausible(
     change = np.linalg.norm(np.diff(windows, n=2, axis=1), axis=-1).max(axis=1)
     good = change <= config.max_acceleration * config.dt**2
     if world is not None:
-        good &= (free_distance(world, windows) >= config.margin).all(axis=1)
+        good &= (host_free_distance(world, windows) >= config.margin).all(axis=1)
     return windows[good], flight[good]
 
 

@@ -39,9 +39,3 @@ def read_config(path: Path, name: str) -> tuple[str, dict[str, Any]]:
     if experiment != name:
         raise InputError(f"{path}: is of experiment {experiment!r}, want {name!r}; choose another file or folder")
     return preset, values
-
-
-def differences(saved: dict[str, Any], wanted: dict[str, Any]) -> str:
-    """The fields in which two plain configurations differ, for a message."""
-    names = [name for name in {**saved, **wanted} if saved.get(name) != wanted.get(name)]
-    return "; ".join(f"{name} is {saved.get(name)!r} there and {wanted.get(name)!r} here" for name in names)

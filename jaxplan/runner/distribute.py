@@ -11,10 +11,10 @@ DEATHS = 3
 """Workers that may die over one task."""
 
 
-def spread(
+def map_on_workers(
     make: Callable[[int], T], numbers: list[int], *, workers: int, scheduler: str | None = None
 ) -> Iterator[tuple[int, T]]:
-    """Each number with what ``make`` makes of it, as they are done.
+    """Call a function with each number, on workers; gives number and result, as they are done.
 
     Args:
         make: something that dask can send: a function of a module, or a partial of one.

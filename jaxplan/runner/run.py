@@ -1,13 +1,15 @@
 """One run of an experiment, from its configuration to its report."""
 
+import contextlib
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxplan.errors import InputError
+from jaxplan.errors import InputError, JaxplanError
+from jaxplan.files import write_atomically
 from jaxplan.io.output import OutputFolder
 from jaxplan.runner import work
 from jaxplan.runner.cluster import run_on_cluster
@@ -16,7 +18,7 @@ from jaxplan.runner.definition import Experiment, Report, Results
 from jaxplan.runner.ledger import Ledger
 from jaxplan.runner.provenance import origin, sha256
 from jaxplan.runner.registry import load_experiment
-from jaxplan.runner.shards import Outcome, Shard, Store, cut, write_atomically
+from jaxplan.runner.shards import Outcome, Shard, Store, cut
 from jaxplan.runner.tables import as_csv, duration
 
 Progress = Callable[[str], None]
@@ -50,6 +52,7 @@ def run(request: Request, progress: Progress = lambda text: None) -> Done:
     Raises:
         InputError: the configuration or the folder cannot be used.
         ResourceError: the disk, dask or a scheduler refuses; what is finished stays valid.
+        IncompleteError: items failed that the report cannot be made without; the others stay valid.
     """
     if request.workers is not None and request.workers < 0:
         raise InputError(f"--workers: have {request.workers}, want 0 or more")
@@ -63,8 +66,9 @@ def run(request: Request, progress: Progress = lambda text: None) -> Done:
             store.note_run(origin(list(request.command), experiment.artefacts(request.config)))
             _evaluate(experiment, request, config, store, missing, progress)
         results = _collect(request.config, store, shards)
-        report = experiment.report(results)
-        _publish(request, report, results, store.runs())
+        with _explained(results):
+            report = experiment.report(results)
+            _publish(request, report, results, store.runs())
     return Done(report, results.quarantined, request.out)
 
 
@@ -139,24 +143,35 @@ def _collect(config: Any, store: Store, shards: list[Shard]) -> Results:
     return Results(config, items, rows, seconds, compiled, quarantined, preparing)
 
 
+@contextlib.contextmanager
+def _explained(results: Results[Any]) -> Iterator[None]:
+    """Where items failed, they are why their report cannot be made, whatever making it raises."""
+    try:
+        if all(row is None for row in results.rows) and results.quarantined:
+            raise results.incomplete()
+        yield
+    except JaxplanError:
+        raise
+    except Exception as error:
+        if results.quarantined:
+            raise results.incomplete() from error
+        raise
+
+
 def _publish(request: Request, report: Report, results: Results, found: list[dict[str, Any]]) -> None:
     """Write report, table and pictures; ``provenance.json`` is the last and has the hashes of the others."""
     folder = request.out
     with OutputFolder(folder) as output:
-        output.write("results.csv", lambda path: _text(path, as_csv(report.table)))
-        output.write("table.tex", lambda path: _text(path, report.latex))
+        output.write("results.csv", as_csv(report.table))
+        output.write("table.tex", report.latex)
         for name, draw in report.figures.items():
-            output.write(name, lambda path, draw=draw: draw(path))  # type: ignore[misc]
-        output.write("report.md", lambda path: _text(path, _page(request, report, results, found)))
+            output.write(name, draw)
+        output.write("report.md", _page(request, report, results, found))
         output.publish()
     names = ["results.csv", "table.tex", "report.md", *report.figures]
     hashes = {name: sha256(folder / name) for name in names}
     page = {"seed": getattr(request.config, "seed", None), "runs": found, "results": hashes}
     write_atomically(folder / "provenance.json", json.dumps(page, indent=1) + "\n")
-
-
-def _text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
 
 
 def _page(request: Request, report: Report, results: Results, found: list[dict[str, Any]]) -> str:

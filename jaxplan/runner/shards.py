@@ -6,14 +6,13 @@ says what it belongs to (``config.json``), so that two experiments never mix.
 
 import fcntl
 import json
-import os
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, NamedTuple
 
 from jaxplan.errors import FileError, InputError, ResourceError
+from jaxplan.files import cannot_write, create_folder, require_configuration, state_configuration, write_atomically
 from jaxplan.io.files import plain
-from jaxplan.runner.configuration import differences, read_config
 from jaxplan.runner.definition import Item, Row
 
 
@@ -60,17 +59,14 @@ class Store:
 
     def __init__(self, folder: Path, name: str, preset: str, config: dict[str, Any], resume: bool) -> None:
         self.folder = Path(folder)
-        self._check(name, config, resume)
+        statement = {"experiment": name, "preset": preset, "config": config}
+        self._check(statement, resume)
+        create_folder(self.folder / "shards")
         try:
-            (self.folder / "shards").mkdir(parents=True, exist_ok=True)
             self._lock = _locked(self.folder)
-            if not (self.folder / "config.json").exists():
-                write_atomically(
-                    self.folder / "config.json",
-                    json.dumps({"experiment": name, "preset": preset, "config": config}, indent=1) + "\n",
-                )
         except OSError as error:
-            raise _refusal(self.folder, error) from error
+            raise cannot_write(self.folder, error) from error
+        state_configuration(self.folder, statement, may_differ=("preset",))
 
     def __enter__(self) -> "Store":
         return self
@@ -124,7 +120,7 @@ class Store:
     def _path(self, shard: Shard) -> Path:
         return self.folder / "shards" / f"{shard.number:06d}.json"
 
-    def _check(self, name: str, config: dict[str, Any], resume: bool) -> None:
+    def _check(self, statement: dict[str, Any], resume: bool) -> None:
         path = self.folder
         if path.exists() and not path.is_dir():
             raise InputError(f"--out {str(path)!r}: is a file, want a folder; choose another --out")
@@ -132,31 +128,9 @@ class Store:
             return
         if not (path / "config.json").is_file():
             raise InputError(f"--out {str(path)!r}: holds other files, want a folder of its own; choose another --out")
-        try:
-            _, saved = read_config(path / "config.json", name)
-        except (InputError, FileError) as error:
-            raise InputError(f"--out {str(path)!r} holds another experiment's results: {error}") from error
-        if saved != config:
-            raise InputError(
-                f"--out {str(path)!r}: holds results of another configuration ({differences(saved, config)}); "
-                "choose another --out"
-            )
+        require_configuration(path, statement, may_differ=("preset",))
         if not resume:
             raise InputError(f"--out {str(path)!r}: holds results already; go on with --resume or choose another --out")
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Write a file that is there whole or not at all, on the disk when this returns."""
-    staged = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with staged.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(staged, path)
-    except OSError:
-        staged.unlink(missing_ok=True)
-        raise
 
 
 def _locked(folder: Path) -> IO[str]:

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -34,6 +35,11 @@ def as_latex(header: Sequence[str], rows: Sequence[Sequence[str]], caption: str)
     columns = "l" + "r" * (len(header) - 1)
     body = [rf"\begin{{tabular}}{{{columns}}}", r"\hline", line(header), r"\hline", *map(line, rows), r"\hline"]
     return "\n".join([*head, *body, r"\end{tabular}", r"\end{table}"]) + "\n"
+
+
+def number(value: float | None, form: str = ".3f") -> str:
+    """A number in the given format; a dash where there is none, or none that is finite."""
+    return "-" if value is None or not math.isfinite(value) else format(value, form)
 
 
 def duration(seconds: float) -> str:

@@ -1,11 +1,11 @@
 """What a worker does. Names and plain values come in and go out, so that any worker with jaxplan installed will do."""
 
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 from jaxplan.compilation import compilations
 from jaxplan.runner.configuration import from_plain
-from jaxplan.runner.definition import Item
+from jaxplan.runner.definition import Experiment, Item, Row
 from jaxplan.runner.registry import load_experiment
 from jaxplan.runner.shards import Outcome
 
@@ -20,32 +20,55 @@ ONE_THREAD = {
 }
 """Environment of a worker: one thread each, so that as many fit as there are cores, and sums keep their order."""
 
-_prepared: list[str] = []
-"""The group that this process is prepared for, with its configuration: the newest, since preparing costs memory."""
+
+class _Prepared(NamedTuple):
+    """The group that this process is prepared for, with its configuration."""
+
+    wanted: str
+    failure: str
+    """Why the group could not be prepared; empty where it was."""
+
+
+_prepared: list[_Prepared] = []
+"""One at most: the newest, since preparing costs memory."""
 
 
 def prepare(name: str, config: dict[str, Any], group: str) -> float:
-    """Load and compile what a group shares, unless this process has; the seconds it took."""
+    """Load and compile what a group shares, unless this process has; the seconds it took.
+
+    What is raised meanwhile is not tried again here: it becomes the error of every item of the group.
+    """
     wanted = f"{name} {group} {config!r}"
-    if wanted in _prepared:
+    if any(known.wanted == wanted for known in _prepared):
         return 0.0
     experiment, began = load_experiment(name), time.perf_counter()
-    experiment.prepare(from_plain(experiment.config_type, config), group)
-    _prepared[:] = [wanted]
+    settings, failure = from_plain(experiment.config_type, config), ""
+    try:
+        experiment.prepare(settings, group)
+    except Exception as error:  # one group that cannot be prepared must not take the others along
+        failure = f"{type(error).__name__}: {error} (while preparing {group!r})"
+    _prepared[:] = [_Prepared(wanted, failure)]
     return time.perf_counter() - began
 
 
 def evaluate(name: str, config: dict[str, Any], items: list[list[Any]]) -> list[list[Any]]:
     """The outcomes of items of one group, as plain lists; an item that raises has its error instead of a row."""
     experiment = load_experiment(name)
-    settings: Any = from_plain(experiment.config_type, config)
+    settings = from_plain(experiment.config_type, config)
     outcomes: list[list[Any]] = []
     for item in (Item(*values) for values in items):
         spent, known, began = prepare(name, config, item.group), compilations(), time.perf_counter()
-        try:
-            row, error = experiment.evaluate(settings, item), ""
-        except Exception as failure:  # whatever an item does must not take the others along
-            row, error = None, f"{type(failure).__name__}: {failure}"
+        row, error = _attempt(experiment, settings, item)
         seconds = time.perf_counter() - began
         outcomes.append(list(Outcome(row, error, seconds, compilations() > known, spent)))
     return outcomes
+
+
+def _attempt(experiment: Experiment[Any], settings: object, item: Item) -> tuple[Row | None, str]:
+    """An item's row, or None and why there is none."""
+    if _prepared[0].failure:
+        return None, _prepared[0].failure
+    try:
+        return experiment.evaluate(settings, item), ""
+    except Exception as failure:  # whatever an item does must not take the others along
+        return None, f"{type(failure).__name__}: {failure}"

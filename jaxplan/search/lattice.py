@@ -1,4 +1,4 @@
-"""Which lattice to search, and the paths from the defender to all candidates (host, NumPy).
+"""The lattices of a world as a search wants them, which of them to search, and what is found (host, NumPy).
 
 The lattice grows with the distance between the drones (interception paper, section III.A). Where a coarse search does
 not reach a goal, the next finer lattice is tried for the goals that are left; only the finest one's failure is
@@ -14,6 +14,7 @@ from scipy import ndimage
 from jaxplan.errors import InputError
 from jaxplan.records import record, static
 from jaxplan.search.kernels.graph import Frame, Graph, make_frame, permitted_moves
+from jaxplan.validation import require_at_least
 from jaxplan.world.obstacles import World
 from jaxplan.world.occupancy import (
     PADDING,
@@ -47,11 +48,8 @@ class SearchConfig:
                 f"distance_fractions: have {fractions}, want {len(self.resolutions) - 1} ascending fractions, "
                 "one per resolution but the last"
             )
-        if not 0.0 <= self.padding < np.inf:
-            raise InputError(f"padding: have {self.padding!r}, want a distance of at least 0 m")
-        for name in ("node_budget", "first_budget", "last_budget"):
-            if not getattr(self, name) >= 1:
-                raise InputError(f"{name}: have {getattr(self, name)!r}, want at least 1 cell")
+        require_at_least("search", self, 0.0, "padding")
+        require_at_least("search", self, 1, "node_budget", "first_budget", "last_budget")
 
 
 @record
@@ -95,10 +93,13 @@ class Paths:
 
 
 def build_lattices(world: World, config: SearchConfig | None = None) -> Lattices:
-    """The occupancy lattices of ``world``, prepared for search. Raises ``InputError`` for a room that is too large."""
+    """The occupancy lattices of ``world`` with all that a search wants to know.
+
+    Raises ``InputError`` for a room that is too large.
+    """
     config = SearchConfig() if config is None else config
     grids = occupancy_lattices(world, config.resolutions, config.padding)
-    return Lattices(levels=tuple(_prepare(grid) for grid in grids), config=config)
+    return Lattices(levels=tuple(_search_lattice(grid) for grid in grids), config=config)
 
 
 def choose_level(lattices: Lattices, distance: float, diagonal: float) -> int:
@@ -108,9 +109,12 @@ def choose_level(lattices: Lattices, distance: float, diagonal: float) -> int:
     return fits[0] if fits else len(fractions)
 
 
-def _prepare(grid: Lattice) -> SearchLattice:
-    """Without corner cutting, 26-connected cells are connected exactly if they are 6-connected: a diagonal step can be
-    taken axis by axis through its free bounding box. So SciPy's default labelling finds the components."""
+def _search_lattice(grid: Lattice) -> SearchLattice:
+    """Permitted moves and connected components of one lattice.
+
+    Without corner cutting, 26-connected cells are connected exactly if they are 6-connected: a diagonal step can be
+    taken axis by axis through its free bounding box. So SciPy's default labelling finds the components.
+    """
     labels, _ = ndimage.label(~grid.occupied)
     return SearchLattice(
         grid=grid, moves=permitted_moves(grid.occupied), components=labels.astype(np.int32).reshape(-1)

@@ -1,7 +1,9 @@
 """Paths that are optimal on their lattice, whatever they cost (host, compiled): the reference for ``find_routes``."""
 
+from typing import Annotated
+
 import numpy as np
-from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from jaxplan.precision import in_float64
 from jaxplan.search.kernels import astar
@@ -10,15 +12,14 @@ from jaxplan.search.kernels.paths import write_paths
 from jaxplan.search.lattice import Lattices, Paths, choose_level, level_graph
 from jaxplan.search.request import Request, finish, mark_finer, open_request
 from jaxplan.world.obstacles import World
-from jaxplan.world.occupancy import exact_clearance
 
 
 @in_float64
 def find_paths(
     lattices: Lattices,
     world: World,
-    start: Float[np.ndarray, "3"],
-    goals: Float[np.ndarray, "k 3"],
+    start: Annotated[ArrayLike, "3"],
+    goals: Annotated[ArrayLike, "k 3"],
     target_distance: float,
     capacity: int = 256,
 ) -> Paths:
@@ -28,7 +29,7 @@ def find_paths(
     keep-in box or closer to an obstacle than the padding has NO_PATH, as has every goal if the start sees no free cell.
     """
     request = open_request(lattices, world, start, goals, capacity)
-    if request.head is None:
+    if not len(request.head):
         return request.paths
     expanded = 0
     first = choose_level(lattices, target_distance, world.diagonal)
@@ -38,15 +39,6 @@ def find_paths(
         expanded += _search_level(lattices, level, request)
     mark_finer(lattices, first, request.paths)
     return finish(request.paths, expanded)
-
-
-def warmup(lattices: Lattices, world: World, capacity: int = 256) -> None:
-    """Compile everything that ``find_paths`` may call for this world."""
-    astar.warmup()
-    middle = np.asarray(world.bounds).mean(axis=0)
-    exact_clearance(world.obstacles, middle[None])
-    for distance in (0.0, np.inf):
-        find_paths(lattices, world, middle, middle[None], distance, capacity)
 
 
 def _search_level(lattices: Lattices, level: int, request: Request) -> int:

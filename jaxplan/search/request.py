@@ -1,9 +1,10 @@
 """The opening and the end of every search: unusable goals sorted out, the way out of padding, reasons (host, NumPy)."""
 
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
 
 from jaxplan.errors import InputError
 from jaxplan.search.lattice import Lattices, Paths
@@ -22,9 +23,9 @@ _ESCAPE_RADIUS = 1.5
 class Request(NamedTuple):
     """A search under way."""
 
-    head: Any
-    """The points before the search, (h, 3) [m]: the start, and a free cell to escape to if the start's own is
-    occupied; None where there is no way out."""
+    head: Float[np.ndarray, "h 3"]
+    """The points before the search [m]: the start, and a free cell to escape to if the start's own is occupied; no
+    point at all where there is no way out."""
     goals: Float[np.ndarray, "k 3"]
     """[m]; unusable ones are 0."""
     open: Bool[np.ndarray, "k"]
@@ -33,18 +34,24 @@ class Request(NamedTuple):
     """What is found; its arrays are written in place."""
 
 
-def open_request(lattices: Lattices, world: World, start: object, goals: object, capacity: int) -> Request:
+def open_request(
+    lattices: Lattices,
+    world: World,
+    start: Annotated[ArrayLike, "3"],
+    goals: Annotated[ArrayLike, "k 3"],
+    capacity: int,
+) -> Request:
     """Check and copy the arguments of a search, sort out unusable goals and find the way out of padding."""
-    start, goals = _points(start, "start", (3,)), _points(goals, "goals", (-1, 3))
+    begin, ends = _points(start, "start", (3,)), _points(goals, "goals", (-1, 3))
     if capacity < 3:
         raise InputError(f"capacity: have {capacity!r}, want at least 3 points per path")
-    paths = _no_paths(start, len(goals), capacity)
-    usable = _usable_goals(lattices, world, goals)
-    goals[~usable] = 0.0
-    head, padded = _path_head(lattices, world, start)
+    paths = _no_paths(begin, len(ends), capacity)
+    usable = _usable_goals(lattices, world, ends)
+    ends[~usable] = 0.0
+    head, padded = _path_head(lattices, world, begin)
     if padded:
         paths.notes[:] |= np.uint32(Note.START_PADDED)
-    return Request(head=head, goals=goals, open=usable, paths=paths)
+    return Request(head=head, goals=ends, open=usable, paths=paths)
 
 
 def mark_finer(lattices: Lattices, first: int, paths: Paths) -> None:
@@ -68,7 +75,7 @@ def finish(paths: Paths, expanded: int) -> Paths:
     )
 
 
-def _points(values: object, name: str, shape: tuple[int, ...]) -> np.ndarray:
+def _points(values: ArrayLike, name: str, shape: tuple[int, ...]) -> Float[np.ndarray, "*k 3"]:
     """A writable float64 copy in C order."""
     points = np.array(values, dtype=np.float64, order="C")
     if points.ndim != len(shape) or points.shape[-1] != 3:
@@ -78,7 +85,7 @@ def _points(values: object, name: str, shape: tuple[int, ...]) -> np.ndarray:
     return points
 
 
-def _no_paths(start: np.ndarray, count: int, capacity: int) -> Paths:
+def _no_paths(start: Float[np.ndarray, "3"], count: int, capacity: int) -> Paths:
     return Paths(
         points=np.broadcast_to(start, (count, capacity, 3)).copy(),
         count=np.zeros(count, np.int64),
@@ -91,8 +98,11 @@ def _no_paths(start: np.ndarray, count: int, capacity: int) -> Paths:
 
 
 def _usable_goals(lattices: Lattices, world: World, goals: Float[np.ndarray, "k 3"]) -> Bool[np.ndarray, "k"]:
-    """Goals that are finite, in the room and not padded. A goal in an occupied finest cell is judged by its own exact
-    clearance, so that the rounding to cells excludes nothing."""
+    """Goals that are finite, in the room and not padded.
+
+    For a goal in an occupied finest cell its own exact clearance decides, so that the rounding to cells excludes
+    nothing.
+    """
     lower, upper = np.asarray(world.bounds)
     usable = ((goals >= lower) & (goals <= upper)).all(axis=1)
     grid = lattices.levels[0].grid
@@ -104,13 +114,15 @@ def _usable_goals(lattices: Lattices, world: World, goals: Float[np.ndarray, "k 
     return usable
 
 
-def _path_head(lattices: Lattices, world: World, start: Float[np.ndarray, "3"]) -> tuple[np.ndarray | None, bool]:
+def _path_head(
+    lattices: Lattices, world: World, start: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "h 3"], bool]:
     """The points before the search: the start, and the free cell to escape to if the start's own is occupied.
 
-    Also whether the start is truly padded, or too close to a face of the room. None: there is no way out.
+    Also whether the start is truly padded, or too close to a face of the room. No points: there is no way out.
     """
     if not np.isfinite(start).all():
-        return None, False
+        return np.zeros((0, 3)), False
     grid = lattices.levels[0].grid
     index = np.floor((start - grid.origin) / grid.resolution)
     inside = ((index >= 0) & (index < grid.shape)).all()
@@ -121,7 +133,7 @@ def _path_head(lattices: Lattices, world: World, start: Float[np.ndarray, "3"]) 
     centres = _free_cells_near(grid, start)
     clear = np.asarray(_lines_are_clear(world, start, centres))
     if not clear.any():
-        return None, padded
+        return np.zeros((0, 3)), padded
     return np.stack([start, centres[np.argmax(clear)]]), padded
 
 
@@ -138,7 +150,9 @@ def _free_cells_near(grid: Lattice, start: Float[np.ndarray, "3"]) -> Float[np.n
     return result
 
 
-def _exact_margins(world: World, points: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
+def _exact_margins(
+    world: World, points: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Distances [m] to the nearest obstacle and to the nearest face."""
     lower, upper = np.asarray(world.bounds)
     return exact_clearance(world.obstacles, points), np.minimum(points - lower, upper - points).min(axis=-1)

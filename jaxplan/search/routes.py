@@ -10,9 +10,10 @@
 """
 
 from collections.abc import Iterator
+from typing import Annotated
 
 import numpy as np
-from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from jaxplan.precision import in_float64
 from jaxplan.search.kernels import astar
@@ -28,8 +29,8 @@ from jaxplan.world.occupancy import exact_clearance
 def find_routes(
     lattices: Lattices,
     world: World,
-    start: Float[np.ndarray, "3"],
-    goals: Float[np.ndarray, "k 3"],
+    start: Annotated[ArrayLike, "3"],
+    goals: Annotated[ArrayLike, "k 3"],
     target_distance: float,
     capacity: int = 32,
 ) -> Paths:
@@ -39,7 +40,7 @@ def find_routes(
     keep-in box or closer to an obstacle than the padding has NO_PATH, as has every goal if the start sees no free cell.
     """
     request = open_request(lattices, world, start, goals, capacity)
-    if request.head is None:
+    if not len(request.head):
         return request.paths
     _find_straight(lattices, request)
     first = choose_level(lattices, target_distance, world.diagonal)
@@ -59,11 +60,11 @@ def find_routes(
 
 
 def warmup(lattices: Lattices, world: World, capacity: int = 32) -> None:
-    """Compile everything that ``find_routes`` may call for this world."""
+    """Compile everything that ``find_routes`` may call for this world, the search too where all is in sight."""
     middle = np.asarray(world.bounds).mean(axis=0)
+    astar.warmup()
     exact_clearance(world.obstacles, middle[None])
-    for distance in (0.0, np.inf):
-        find_routes(lattices, world, middle, middle[None], distance, capacity)
+    find_routes(lattices, world, middle, middle[None], 0.0, capacity)
 
 
 def _attempts(lattices: Lattices, first: int, cut_short: set[int]) -> Iterator[tuple[int, int]]:

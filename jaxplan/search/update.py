@@ -1,6 +1,6 @@
 """The lattices of a world that was changed in flight, without building everything anew (host).
 
-Only the cells within the padding of what changed are judged again, and only the steps around those. The labels of
+Only the cells within the padding of what changed are looked at again, and only the steps around those. The labels of
 connected parts are joined where something was freed, and kept where something was closed: two cells of one label may
 then be apart, which costs a search its budget but never hides a path. Arrays keep their shapes, so nothing is compiled.
 """
@@ -8,6 +8,8 @@ then be apart, which costs a search its budget but never hides a path. Arrays ke
 import numpy as np
 from jaxtyping import Bool, Int
 from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from jaxplan.precision import in_float64
 from jaxplan.search.kernels.graph import permitted_moves
@@ -22,25 +24,37 @@ def update_lattices(lattices: Lattices, change: Change) -> Lattices:
     """The lattices of a world after ``update_world``; ``lattices`` are those of the world before."""
     world, lower, upper = change
     finest = lattices.levels[0].grid
-    reach = lattices.config.padding + finest.resolution
-    factor = round(lattices.levels[-1].grid.resolution / finest.resolution)
-    first = np.floor((lower - reach - finest.origin) / finest.resolution).astype(int) // factor * factor
-    last = -(-np.ceil((upper + reach - finest.origin) / finest.resolution).astype(int) // factor) * factor
+    reach = lattices.config.padding + finest.resolution + _shortfall(world)
+    factors = [round(level.grid.resolution / finest.resolution) for level in lattices.levels]
+    whole = int(np.lcm.reduce(factors))  # a window of whole cells of every lattice
+    first = np.floor((lower - reach - finest.origin) / finest.resolution).astype(int) // whole * whole
+    last = -(-np.ceil((upper + reach - finest.origin) / finest.resolution).astype(int) // whole) * whole
     first, last = np.clip(first, 0, finest.shape), np.clip(last, 0, finest.shape)
     if not (first < last).all():
         return lattices
     where = finest.origin, last - first, finest.resolution
     padded = padded_cells(world.obstacles, *where, lattices.config.padding, first)
-    levels = tuple(_update_level(world, level, padded, first, finest.resolution) for level in lattices.levels)
+    levels = tuple(
+        _update_level(world, level, padded, first, factor)
+        for level, factor in zip(lattices.levels, factors, strict=True)
+    )
     return Lattices(levels=levels, config=lattices.config)
 
 
+def _shortfall(world: World) -> float:
+    """Distance [m] by which the clearance from changed cells may be below the truth (``jaxplan.world.clearance``)."""
+    return 0.0 if world.voxels is None else np.sqrt(3.0) * float(world.voxels.spacing)
+
+
 def _update_level(
-    world: World, level: SearchLattice, padded: np.ndarray, first: Int[np.ndarray, "3"], finest: float
+    world: World,
+    level: SearchLattice,
+    padded: Bool[np.ndarray, "wx wy wz"],
+    first: Int[np.ndarray, "3"],
+    factor: int,
 ) -> SearchLattice:
-    """One level with the ``padded`` cells of the finest lattice from ``first`` on put in."""
+    """One level with the ``padded`` cells of the finest lattice from ``first`` on put in; its cells span ``factor``."""
     grid = level.grid
-    factor = round(grid.resolution / finest)
     near_here = coarsen(padded, factor)
     window = tuple(slice(int(a), int(a) + n) for a, n in zip(first // factor, near_here.shape, strict=True))
     near, occupied = grid.near_obstacle.copy(), grid.occupied.copy()
@@ -64,20 +78,25 @@ def _grown(window: tuple[slice, ...], cells: int) -> tuple[slice, ...]:
 def _joined_labels(
     labels: Int[np.ndarray, "nx ny nz"], occupied: Bool[np.ndarray, "nx ny nz"], around: tuple[slice, ...]
 ) -> Int[np.ndarray, "nx ny nz"]:
-    """Labels in which all parts that touch within ``around`` are one; closed cells have none."""
-    labels = labels.copy()
+    """Labels in which all parts that touch within ``around`` are one; closed cells have none.
+
+    The parts within ``around`` and the labels there before are the nodes of a graph, joined where they share a cell:
+    each of its components is one label from now on, the least of those that it had.
+    """
     local, parts = ndimage.label(~occupied[around])
-    before = labels[around].copy()
-    labels[around] = 0
-    joined = np.arange(labels.max(initial=before.max(initial=0)) + 1)
-    fresh = np.zeros(parts + 1, labels.dtype)
-    for part in range(1, parts + 1):
-        old = np.unique(joined[before[(local == part) & (before > 0)]])
-        fresh[part] = old[0] if len(old) else len(joined) + part
-        for other in old[1:]:
-            joined[joined == other] = old[0]
-    if (joined != np.arange(len(joined))).any():
-        labels = joined.astype(labels.dtype)[labels]
-    renamed = np.where(fresh < len(joined), joined[np.minimum(fresh, len(joined) - 1)], fresh)
-    labels[around] = renamed.astype(labels.dtype)[local]
-    return labels
+    before, most = labels[around], int(labels.max(initial=0))
+    shared = (local > 0) & (before > 0)
+    ends = np.unique(local[shared].astype(np.int64) * (most + 1) + before[shared])
+    olds, column = np.unique(ends % (most + 1), return_inverse=True)
+    nodes = 1 + parts + len(olds)  # node 0: closed cells
+    edges = coo_array((np.ones(len(ends)), (ends // (most + 1), 1 + parts + column)), shape=(nodes, nodes))
+    count, component = connected_components(edges, directed=False)
+    names = np.full(count, most + 1)
+    np.minimum.at(names, component[1 + parts :], olds)
+    names[component[0]] = 0
+    names[names > most] += np.arange(int((names > most).sum()))
+    renamed = np.arange(most + 1)
+    renamed[olds] = names[component[1 + parts :]]
+    joined = renamed.astype(labels.dtype)[labels] if (renamed[olds] != olds).any() else labels.copy()
+    joined[around] = names[component[: 1 + parts]].astype(labels.dtype)[local]
+    return joined

@@ -4,7 +4,7 @@ Low: what the trajectory itself demands of the rotors, by flatness on dense samp
 High: a flight in closed loop. MFRL learns from many of the first and few of the second.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Literal, get_args
 
 import jax
@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
+from jaxplan.batching import in_portions
 from jaxplan.errors import InputError
-from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.precision import in_float64
 from jaxplan.records import record
 from jaxplan.spline import PiecewisePolynomial
@@ -22,7 +22,8 @@ from jaxplan.tracking.result import Flaw
 from jaxplan.tracking.track import LONGEST_FLIGHT, TrackConfig, track
 from jaxplan.vehicle.limits import Feasibility, rotor_limit_margin
 from jaxplan.vehicle.limits import feasibility as rotor_verdict
-from jaxplan.vehicle.params import Vehicle, load_vehicle
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import Vehicle
 
 Fidelity = Literal["rotor-limits", "rollout"]
 
@@ -30,7 +31,8 @@ SAMPLES = 256
 """Instants of a flight at which the low fidelity looks, evenly spread, ends included (arbitrary)."""
 PIECES = 64
 """Parts of a segment over which the rotors' demand is bounded (as ``vehicle.limits``)."""
-_CHUNK = 256
+_FLIGHTS_AT_ONCE = 256
+"""Arbitrary."""
 
 
 @record
@@ -91,10 +93,9 @@ def _from_demands(splines: Splines, vehicle: Vehicle, margins: _Margins) -> Labe
     in_time = finite & (durations > 0.0) & (durations <= LONGEST_FLIGHT)
     margin, decided = np.full(len(durations), -np.inf), np.ones(len(durations), bool)
     members = np.flatnonzero(in_time)
-    for begin in range(0, len(members), _CHUNK):
-        chunk = members[begin : begin + _CHUNK]
-        margin[chunk], verdicts = _chunk_margins(flights, chunk, margins)
-        decided[chunk] = (verdicts != Feasibility.UNDECIDED) | ~(margin[chunk] >= 0.0)
+    if len(members):
+        margin[members], known = in_portions(lambda some: margins(padded(flights, some)), members, _FLIGHTS_AT_ONCE)
+        decided[members] = (known != Feasibility.UNDECIDED) | ~(margin[members] >= 0.0)
     reasons = (
         np.where(finite, 0, int(Flaw.NONFINITE))
         | np.where(finite & ~in_time, int(Flaw.DURATION), 0)
@@ -102,16 +103,6 @@ def _from_demands(splines: Splines, vehicle: Vehicle, margins: _Margins) -> Labe
     ).astype(np.uint32)
     scale = float(vehicle.rotor_speed_max) - float(vehicle.rotor_speed_min)
     return Labels(feasible=reasons == 0, reasons=reasons, margin=margin / scale, decided=decided)
-
-
-def _chunk_margins(
-    flights: Sequence[PiecewisePolynomial] | SplineBatch,
-    chunk: np.ndarray,
-    margins: _Margins,
-) -> tuple[Float[np.ndarray, "b"], Int[np.ndarray, "b"]]:
-    lanes = np.concatenate([chunk, np.repeat(chunk[:1], _CHUNK - len(chunk))])
-    margin, verdicts = margins(padded(flights, lanes))
-    return np.asarray(margin)[: len(chunk)], np.asarray(verdicts)[: len(chunk)]
 
 
 def _rotor_margin(vehicle: Vehicle, spline: PiecewisePolynomial) -> Float[Array, ""]:

@@ -1,11 +1,21 @@
 """The vehicle as a MuJoCo model: one free body, four rotors that pull at sites, and nothing to touch.
 
 Drag, noise and the rotors' own inertia are not in the model: ``plant.py`` applies them as generalised forces.
+
+MuJoCo gives a free joint a velocity in the world and rates in the body. About the centre of mass, in principal axes,
+its equations of motion then do not depend on the pose:
+
+    diag(m, m, m, J) [dv; dW] = forces - bias(v, W),        bias = [0, 0, m g; W x J W]
+
+So the stages of MJX that depend on the pose alone run once, for the level body at the origin, and a step is what is
+left: the body's velocities, the bias by recursive Newton-Euler, the integrator. A batch of flights takes half the time
+that it takes with ``mjx.step`` and differs by rounding (docs/decisions/0016-free-body.md); ``complete_body`` is that
+step, with which the tests compare.
 """
 
 import contextlib
 import io
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +24,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplan.vehicle.params import Vehicle
+from jaxplan.vehicle.rotations import rotation_from_quat
 
 # mjx 3.17 prints two lines when its optional Warp back end is absent; the standard output belongs to the caller.
 with contextlib.redirect_stdout(io.StringIO()):
@@ -27,13 +38,6 @@ Integrator = Literal["Euler", "RK4"]
 """Semi-implicit Euler, first order, is what flights use; RK4 costs 4 times as much (docs/decisions/0008-plant.md)."""
 
 
-class Body(NamedTuple):
-    """The rigid body that MJX steps."""
-
-    model: mjx.Model
-    blank: mjx.Data
-
-
 class Motion(NamedTuple):
     """Position [m, world] and attitude (body to world), velocity [m/s, world] and rates [rad/s, body]."""
 
@@ -43,10 +47,19 @@ class Motion(NamedTuple):
     body_rates: Float[Array, "3"]
 
 
+class Body(Protocol):
+    """A rigid body that can be stepped."""
+
+    def __call__(
+        self, motion: Motion, thrusts: Float[Array, "4"], force: Float[Array, "3"], moment: Float[Array, "3"]
+    ) -> Motion:
+        """The motion 1/400 s later under rotor ``thrusts`` [N], ``force`` [N, world] and ``moment`` [N m, body]."""
+
+
 def vehicle_mjcf(vehicle: Vehicle, integrator: Integrator = "Euler") -> str:
     """MJCF text: actuator i takes the thrust [N] of rotor i, and its gear adds the reaction torque about body z.
 
-    A sparse mass matrix is factorised in plain arithmetic, a dense one by LAPACK, lane by lane.
+    A sparse mass matrix is factorised in plain arithmetic, a dense one by LAPACK, flight by flight.
     """
     torque_per_thrust = np.asarray(vehicle.rotor_spin) * vehicle.torque_coefficient / vehicle.thrust_coefficient
     sites = [f'<site name="rotor{i}" pos="{_numbers(pos)}"/>' for i, pos in enumerate(vehicle.rotor_positions)]
@@ -71,24 +84,61 @@ def vehicle_mjcf(vehicle: Vehicle, integrator: Integrator = "Euler") -> str:
 """
 
 
-def vehicle_body(vehicle: Vehicle, *, integrator: Integrator = "Euler", float64: bool = False) -> Body:
-    """The compiled model and a blank state of it, in float32; in float64 only for comparisons in a 64-bit scope."""
+def vehicle_body(vehicle: Vehicle, *, float64: bool = False) -> Body:
+    """The body of ``vehicle`` under Euler's step, in float32; in float64 only for comparisons in a 64-bit scope (host).
+
+    The function that comes back is pure; ``vmap`` it over flights.
+    """
+    model, level = _level(vehicle, "Euler", float64)
+    inertia = np.concatenate([np.full(3, vehicle.mass), vehicle.inertia]).astype(level.qpos.dtype)
+    arms = _moment_arms(vehicle).astype(level.qpos.dtype)
+
+    def step(motion: Motion, thrusts: Float[Array, "4"], force: Float[Array, "3"], moment: Float[Array, "3"]) -> Motion:
+        up = rotation_from_quat(motion.quat_wxyz)[:, 2]
+        lift = thrusts[0] + thrusts[1] + thrusts[2] + thrusts[3]
+        turning = jnp.sum(arms * thrusts[None, :], axis=1)
+        applied = jnp.concatenate([force + up * lift, moment + turning])
+        data = mjx.rne(model, mjx.com_vel(model, _moved(level, motion)))
+        return _motion(mjx.euler(model, data.replace(qacc=(applied - data.qfrc_bias) / inertia)))
+
+    return step
+
+
+def complete_body(vehicle: Vehicle, *, integrator: Integrator = "Euler", float64: bool = False) -> Body:
+    """The body of ``vehicle`` under all of ``mjx.step``, its rotors MuJoCo's actuators; for comparisons (host)."""
+    model, level = _level(vehicle, integrator, float64)
+
+    def step(motion: Motion, thrusts: Float[Array, "4"], force: Float[Array, "3"], moment: Float[Array, "3"]) -> Motion:
+        data = _moved(level, motion).replace(ctrl=thrusts, qfrc_applied=jnp.concatenate([force, moment]))
+        return _motion(mjx.step(model, data))
+
+    return step
+
+
+def _level(vehicle: Vehicle, integrator: Integrator, float64: bool) -> tuple[mjx.Model, mjx.Data]:
+    """The model, and its data at the origin, level: C MuJoCo has filled in all that follows from the pose."""
     model = mujoco.MjModel.from_xml_string(vehicle_mjcf(vehicle, integrator))
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
     with jax.enable_x64(float64):
-        return Body(mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax"))
+        return mjx.put_model(model, impl="jax"), mjx.put_data(model, data, impl="jax")
 
 
-def step_body(
-    body: Body, motion: Motion, thrusts: Float[Array, "4"], force: Float[Array, "3"], moment: Float[Array, "3"]
-) -> Motion:
-    """One MJX step of 1/400 s under rotor ``thrusts`` [N], an added ``force`` [N, world] and ``moment`` [N m, body]."""
-    data = body.blank.replace(
-        qpos=jnp.concatenate([motion.pos, motion.quat_wxyz]),
-        qvel=jnp.concatenate([motion.vel, motion.body_rates]),
-        ctrl=thrusts,
-        qfrc_applied=jnp.concatenate([force, moment]),
+def _moment_arms(vehicle: Vehicle) -> Float[np.ndarray, "3 4"]:
+    """Moment [N m, body] of each rotor per newton of its thrust."""
+    x, y = np.asarray(vehicle.rotor_positions)[:, :2].T
+    torque = np.asarray(vehicle.rotor_spin) * vehicle.torque_coefficient / vehicle.thrust_coefficient
+    return np.stack([y, -x, torque])
+
+
+def _moved(data: mjx.Data, motion: Motion) -> mjx.Data:
+    return data.replace(
+        qpos=jnp.concatenate([motion.pos, motion.quat_wxyz]), qvel=jnp.concatenate([motion.vel, motion.body_rates])
     )
-    data = mjx.step(body.model, data)
+
+
+def _motion(data: mjx.Data) -> Motion:
     return Motion(pos=data.qpos[:3], quat_wxyz=data.qpos[3:], vel=data.qvel[:3], body_rates=data.qvel[3:])
 
 

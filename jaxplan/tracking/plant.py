@@ -21,7 +21,7 @@ from jaxplan.records import record
 from jaxplan.spline import FlatState
 from jaxplan.tracking.disturbance import Disturbance, air_velocity
 from jaxplan.tracking.filters import FilterState, filter_step
-from jaxplan.tracking.model import PHYSICS_RATE, Body, Motion, step_body
+from jaxplan.tracking.model import PHYSICS_RATE, Body, Motion
 from jaxplan.tracking.sensing import Sensed
 from jaxplan.vehicle.flatness import against_drag, differential_flatness
 from jaxplan.vehicle.mixing import allocation_matrix
@@ -111,8 +111,7 @@ def physics_step(
     lift, air = vehicle.thrust_coefficient * mean_speeds**2, jnp.zeros_like(state.vel)
     if disturbance is not None:
         lift, air = lift * (1.0 - disturbance.thrust_loss), air_velocity(disturbance, jnp.asarray(time))
-    motion = step_body(
-        body,
+    motion = body(
         Motion(pos=state.pos, quat_wxyz=state.quat_wxyz, vel=state.vel, body_rates=state.body_rates),
         thrusts=lift,
         force=_body_force(vehicle, state.vel - air, noise),

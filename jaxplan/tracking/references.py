@@ -77,13 +77,13 @@ def padded(splines: Sequence[PiecewisePolynomial] | SplineBatch, chosen: Int[np.
 
 @in_float64
 def references_at(splines: PiecewisePolynomial, times: Float[np.ndarray, "n"]) -> FlatState:
-    """The references of every flight of a ``padded`` batch at ``times`` [s], (n, ..., b), rounded to float32."""
+    """The references of every flight of a ``padded`` batch at ``times`` [s], (b, n), rounded to float32."""
     return _sample(splines, times)
 
 
 @jax.jit
 def _sample(splines: PiecewisePolynomial, times: Float[np.ndarray, "n"]) -> FlatState:
-    states = jax.vmap(lambda spline: spline.state(times), out_axes=-1)(splines)
+    states = jax.vmap(lambda spline: spline.state(times))(splines)
     return jax.tree.map(lambda leaf: leaf.astype(jnp.float32), states)
 
 

@@ -5,13 +5,12 @@ the reference at t_i. The controller reads row i at t_i and holds its command; r
 and its errors are against row i + 1. To go on, the next call's row 0 is this call's row n.
 """
 
-from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from jaxplan.errors import InputError
 from jaxplan.numerics import wrap_angle
@@ -20,8 +19,7 @@ from jaxplan.records import record, replace
 from jaxplan.spline import FlatState
 from jaxplan.tracking.disturbance import Disturbance
 from jaxplan.tracking.indi import indi
-from jaxplan.tracking.lanes import joined, over_lanes, split
-from jaxplan.tracking.model import PHYSICS_RATE, Body, vehicle_body
+from jaxplan.tracking.model import PHYSICS_RATE, vehicle_body
 from jaxplan.tracking.plant import (
     Noise,
     PlantState,
@@ -71,100 +69,70 @@ class FlightLog:
     """A rotor limit changed the command of this step."""
 
 
+class Reset(Protocol):
+    """Puts the vehicle on a reference."""
+
+    def __call__(self, reference: FlatState, key: PRNGKeyArray) -> PlantState:
+        """The plant on ``reference``, rotors at the speeds it demands, filters settled, with ``key`` for its noise."""
+
+
+class Fly(Protocol):
+    """Flies along references."""
+
+    def __call__(
+        self, state: PlantState, references: FlatState, disturbance: Disturbance | None = None
+    ) -> tuple[PlantState, FlightLog]:
+        """The plant after n control steps along n + 1 ``references``, and the log; one compilation for each n.
+
+        ``disturbance`` adds wind, a gust and thrust losses; None is calm.
+        """
+
+
 class Plant(NamedTuple):
-    """A simulated vehicle under control: compiled pure functions, in float32 whatever the caller's scope."""
+    """A simulated vehicle under control: compiled pure functions of one flight, in float32 whatever the caller's scope.
 
-    reset: Callable[[FlatState, PRNGKeyArray], PlantState]
-    """``reset(reference, key)``: on the reference, rotors at the speeds it demands, filters settled."""
-    fly: Callable[..., tuple[PlantState, FlightLog]]
-    """``fly(state, references, disturbance=None)``: n control steps along n + 1 references; one compilation for each n.
-
-    A ``Disturbance`` adds wind, a gust and thrust losses; None is calm.
+    For many flights ``vmap`` them; batch axes come first, as ``FlatState`` has them.
     """
-    fly_lanes: Callable[..., tuple[PlantState, FlightLog]]
-    """``fly`` for many flights, which are the last axis of every array in and out: what ``vmap(fly, -1, -1)`` computes,
-    several times as fast (``lanes``)."""
+
+    reset: Reset
+    fly: Fly
 
 
 def build_plant(vehicle: Vehicle, *, noise: bool = True, controller: ControllerName = "indi") -> Plant:
-    """The plant of ``vehicle`` (host); ``noise`` False leaves out process and sensor noise. ``vmap`` both functions."""
+    """The plant of ``vehicle`` (host); ``noise`` False leaves out process and sensor noise."""
     if controller not in CONTROLLERS:
         raise InputError(f"build_plant: controller is {controller!r}, want one of {', '.join(CONTROLLERS)}")
     body = vehicle_body(vehicle)
     law = CONTROLLERS[controller]
     draws = draw_noise if noise else no_noise
-
-    def noise_of(key: PRNGKeyArray, begun: Int[Array, ""], count: int) -> Noise:
-        keys = jax.vmap(lambda step: jax.random.fold_in(key, step))(begun + jnp.arange(count))
-        return jax.vmap(lambda key: draws(key, _SUBSTEPS))(keys)
+    cast = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), vehicle)
 
     def reset(reference: FlatState, key: PRNGKeyArray) -> PlantState:
         return state_on_reference(vehicle.astype(jnp.float32), reference, key)
 
+    def control_step(
+        state: PlantState, row: tuple[FlatState, FlatState, Noise], disturbance: Disturbance | None
+    ) -> tuple[PlantState, FlightLog]:
+        reference, target, draw = row
+        commands, saturated = law(cast, sense(state), reference)
+        time = state.step / CONTROL_RATE  # the same for the substeps: a gust lasts longer than 5 ms
+
+        def substep(state: PlantState, draw: Noise) -> tuple[PlantState, None]:
+            return physics_step(cast, body, state, commands, draw, disturbance, time), None
+
+        state, _ = jax.lax.scan(substep, state, draw)
+        return replace(state, step=state.step + 1), _log(state, target, saturated)
+
     def fly(
         state: PlantState, references: FlatState, disturbance: Disturbance | None = None
     ) -> tuple[PlantState, FlightLog]:
-        draw = noise_of(state.key, state.step, len(references.yaw) - 1)
-        return _fly(_steps(vehicle, body, law, _as_it_is), state, references, draw, disturbance)
+        now = jax.tree.map(lambda rows: rows[:-1], references)
+        then = jax.tree.map(lambda rows: rows[1:], references)
+        keys = jax.vmap(lambda step: jax.random.fold_in(state.key, step))(state.step + jnp.arange(len(now.yaw)))
+        draw = jax.vmap(lambda key: draws(key, _SUBSTEPS))(keys)
+        return jax.lax.scan(lambda state, row: control_step(state, row, disturbance), state, (now, then, draw))
 
-    def fly_lanes(
-        state: PlantState, references: FlatState, disturbance: Disturbance | None = None
-    ) -> tuple[PlantState, FlightLog]:
-        draw = jax.vmap(noise_of, (-1, -1, None), -1)(state.key, state.step, len(references.yaw) - 1)
-        return joined(_fly(_steps(vehicle, body, law, over_lanes), split(state), references, draw, disturbance))
-
-    return Plant(reset=float32_island(reset), fly=float32_island(fly), fly_lanes=float32_island(fly_lanes))
-
-
-class _Steps(NamedTuple):
-    """What happens within a control step."""
-
-    command: Callable[[PlantState, FlatState], tuple[Float[Array, "4"], Bool[Array, ""]]]
-    physics: Callable[..., PlantState]
-    finish: Callable[..., tuple[PlantState, "FlightLog"]]
-
-
-def _as_it_is(function: Callable[..., Any]) -> Callable[..., Any]:
-    return function
-
-
-def _steps(vehicle: Vehicle, body: Body, law: Controller, over: Callable[[Any], Any]) -> _Steps:
-    """The steps of one flight, each handed through ``over``: ``over_lanes`` makes them steps of many flights."""
-    cast = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), vehicle)
-
-    def command(state: PlantState, reference: FlatState) -> tuple[Float[Array, "4"], Bool[Array, ""]]:
-        return law(cast, sense(state), reference)
-
-    def physics(
-        state: PlantState, commands: Float[Array, "4"], draw: Noise, disturbance: Disturbance | None
-    ) -> PlantState:
-        time = state.step / CONTROL_RATE  # the same for the substeps: a gust lasts longer than 5 ms
-        return physics_step(cast, body, state, commands, draw, disturbance, time)
-
-    def finish(state: PlantState, target: FlatState, saturated: Bool[Array, ""]) -> tuple[PlantState, FlightLog]:
-        return replace(state, step=state.step + 1), _log(state, target, saturated)
-
-    return _Steps(command=over(command), physics=over(physics), finish=over(finish))
-
-
-def _fly(
-    steps: _Steps, state: PlantState, references: FlatState, noise: Noise, disturbance: Disturbance | None
-) -> tuple[PlantState, FlightLog]:
-    """``noise``: the draws of every control step and substep, in the first two axes."""
-    now = jax.tree.map(lambda rows: rows[:-1], references)
-    then = jax.tree.map(lambda rows: rows[1:], references)
-
-    def control_step(state: PlantState, row: tuple[FlatState, FlatState, Noise]) -> tuple[PlantState, FlightLog]:
-        reference, target, draws = row
-        commands, saturated = steps.command(state, reference)
-
-        def substep(state: PlantState, draw: Noise) -> tuple[PlantState, None]:
-            return steps.physics(state, commands, draw, disturbance), None
-
-        state, _ = jax.lax.scan(substep, state, draws)
-        return steps.finish(state, target, saturated)
-
-    return jax.lax.scan(control_step, state, (now, then, noise))
+    return Plant(reset=float32_island(reset), fly=float32_island(fly))
 
 
 def _log(state: PlantState, target: FlatState, saturated: Bool[Array, ""]) -> FlightLog:

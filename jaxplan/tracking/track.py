@@ -1,36 +1,40 @@
 """Flying many trajectories in simulation: which of them the vehicle can follow, and how well.
 
-A chunk of ``LANES`` flights advances in blocks of one second, all by the same compiled program whatever their lengths:
-a lane whose flight is over flies on, unseen. Chunks share the cores, one thread each. Flights are sorted by length
-first, so that few lanes idle. The noise of a flight depends on the seed and its index alone, so neither order, batch
+A batch of ``FLIGHTS_AT_ONCE`` flights advances in blocks of one second, all by the same compiled program whatever their
+lengths: a flight that is over flies on, unseen. Batches share the cores, one thread each. Flights are sorted by length
+first, so that few fly on. The noise of a flight depends on the seed and its index alone, so neither order, batch
 size nor neighbours change its result.
 """
 
 import dataclasses
 import functools
 import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
+from jaxplan.arrays import AnyArray
+from jaxplan.batching import fill, in_portions
 from jaxplan.errors import InputError
+from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.precision import float32_island
-from jaxplan.spline import FlatState
+from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.tracking.disturbance import SHAPES, Disturbance
 from jaxplan.tracking.plant import PlantState
 from jaxplan.tracking.references import Splines, as_sequence, duration_of_each, padded, references_at
 from jaxplan.tracking.result import TRAINING, Flaw, Thresholds, TrackingResult
 from jaxplan.tracking.rollout import CONTROL_RATE, ControllerName, FlightLog, build_plant
-from jaxplan.vehicle.params import Vehicle, load_vehicle
+from jaxplan.vehicle.fingerprint import fingerprint
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import Vehicle
 
 WIDTH = 128
 """Lanes that advance together (measured: throughput grows by a tenth beyond)."""
-LANES = WIDTH - 8
+FLIGHTS_AT_ONCE = WIDTH - 8
 """Lanes that carry flights. XLA computes the last 8 in the remainder of its vector loops, where rounding differs in the
 last bit (measured on AVX-512): a flight there would depend on its place in the batch."""
 BLOCK_STEPS = CONTROL_RATE
@@ -58,20 +62,58 @@ class TrackConfig:
 
 
 class _Summary(NamedTuple):
-    """What is kept of a flight while it is flown."""
+    """What is kept of flights while they are flown."""
 
-    position_error: Float[Array, "b"]
-    yaw_error: Float[Array, "b"]
-    first_violation: Float[Array, "b"]
-    rotor_speed: Float[Array, "b"]
-    saturated: Int[Array, "b"]
+    position_error: Float[AnyArray, "b"]
+    """m, the largest so far."""
+    yaw_error: Float[AnyArray, "b"]
+    """rad, the largest so far."""
+    first_violation: Float[AnyArray, "b"]
+    """s from the start; inf while there is none."""
+    rotor_speed: Float[AnyArray, "b"]
+    """rad/s, of the fastest rotor so far."""
+    saturated: Shaped[AnyArray, "b"]
+    """Control steps whose command a limit changed; in the end their share."""
+
+
+class _Reset(Protocol):
+    def __call__(self, references: FlatState, numbers: Int[AnyArray, "b"], key: PRNGKeyArray) -> PlantState:
+        """Each flight on its reference; its noise is the stream of that number below ``key``."""
+
+
+class _Advance(Protocol):
+    def __call__(
+        self,
+        state: PlantState,
+        summary: _Summary,
+        references: FlatState,
+        left: Int[AnyArray, "b"],
+        limits: Float[AnyArray, "2"],
+        disturbance: Disturbance | None,
+    ) -> tuple[PlantState, _Summary]:
+        """One block along ``references`` (b, n + 1); ``left``: control steps until each flight's end.
+
+        ``limits``: thresholds of position [m] and yaw [rad].
+        """
 
 
 class _Tracker(NamedTuple):
     """The compiled programs of one vehicle."""
 
-    reset: Callable[[FlatState, Int[Array, "b"], PRNGKeyArray], PlantState]
-    advance: Callable[..., tuple[PlantState, _Summary]]
+    reset: _Reset
+    advance: _Advance
+
+
+@dataclasses.dataclass(frozen=True)
+class _Flights:
+    """What is flown, and how; one row a flight."""
+
+    splines: Sequence[PiecewisePolynomial] | SplineBatch
+    durations: Float[np.ndarray, "k"]
+    numbers: Int[np.ndarray, "k"]
+    start: FlatState | None
+    disturbance: Disturbance | None
+    config: TrackConfig
 
 
 def track(
@@ -98,57 +140,51 @@ def track(
             reason); an index out of range; a start as far from a trajectory as the position threshold; a disturbance
             for another number of flights.
     """
-    flights = as_sequence(splines)
+    found = as_sequence(splines)
     chosen = TrackConfig() if config is None else config
-    durations = duration_of_each(flights)
-    numbers = _checked_indices(indices, len(durations))
+    durations = duration_of_each(found)
     if len(durations) == 1 and not np.isfinite(durations[0]):
         raise InputError("splines: the spline has a coefficient or a duration that is not finite, want finite numbers")
-    tracker = _tracker(_Content(_default_vehicle() if vehicle is None else vehicle), chosen.noise, chosen.controller)
+    flights = _Flights(
+        splines=found,
+        durations=durations,
+        numbers=_checked_indices(indices, len(durations)),
+        start=start,
+        disturbance=None if disturbance is None else _for_each(disturbance, len(durations)),
+        config=chosen,
+    )
+    flyer = _default_vehicle() if vehicle is None else vehicle
+    tracker = _tracker(_Numbers(fingerprint(flyer), flyer), chosen.noise, chosen.controller)
     flown = np.flatnonzero((durations > 0.0) & (durations <= LONGEST_FLIGHT))
     flown = flown[np.argsort(-durations[flown], kind="stable")]
-    inputs = None if disturbance is None else _for_each(disturbance, len(durations))
-
-    def fly(begin: int) -> _Summary:
-        return _fly_chunk(tracker, flights, durations, numbers, flown[begin : begin + LANES], chosen, start, inputs)
-
-    begins = range(0, len(flown), LANES)
-    with ThreadPoolExecutor(max(1, min(len(begins), os.cpu_count() or 1))) as pool:
-        parts = list(pool.map(fly, begins))
-    return _result(durations, flown, parts, chosen.thresholds)
+    summary = None
+    if len(flown):
+        cores = os.cpu_count() or 1
+        summary = in_portions(lambda some: _fly(tracker, flights, some), flown, FLIGHTS_AT_ONCE, threads=cores)
+    return _result(durations, flown, summary, chosen.thresholds)
 
 
-def _fly_chunk(
-    tracker: _Tracker,
-    flights: Splines,
-    durations: Float[np.ndarray, "k"],
-    numbers: Int[np.ndarray, "k"],
-    members: Int[np.ndarray, "b"],
-    config: TrackConfig,
-    start: FlatState | None,
-    inputs: Disturbance | None,
-) -> _Summary:
-    """At most ``LANES`` flights to their ends; the first one fills the lanes that are over."""
-    lanes = np.concatenate([members, np.repeat(members[:1], WIDTH - len(members))])
-    batch = padded(as_sequence(flights), lanes)
-    steps = control_steps(durations[lanes])
+def _fly(tracker: _Tracker, flights: _Flights, members: Int[np.ndarray, "b"]) -> _Summary:
+    """``FLIGHTS_AT_ONCE`` flights to their ends; the share of saturated steps is in place of their number."""
+    rows, config = fill(members, WIDTH), flights.config
+    batch = padded(flights.splines, rows)
+    steps = control_steps(flights.durations[rows])
     limits = np.array([config.thresholds.position, config.thresholds.yaw])
     times = np.arange(BLOCK_STEPS + 1) / CONTROL_RATE
     references = references_at(batch, times)
-    first = jax.tree.map(lambda leaf: leaf[0], references)
-    if start is not None:
-        _check_start(start, np.asarray(first.derivatives[0]).T, members, config.thresholds.position)
-        first = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[..., None], WIDTH, axis=-1), start)
-    around = jax.tree.map(lambda leaf: np.moveaxis(leaf[lanes], 0, -1), inputs)
-    state = tracker.reset(first, numbers[lanes].astype(np.int32), jax.random.key(config.seed))
+    first = jax.tree.map(lambda leaf: leaf[:, 0], references)
+    if flights.start is not None:
+        _check_start(flights.start, np.asarray(first.pos), rows, config.thresholds.position)
+        first = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (WIDTH, *np.shape(leaf))), flights.start)
+    around = jax.tree.map(lambda leaf: leaf[rows], flights.disturbance)
+    state = tracker.reset(first, flights.numbers[rows].astype(np.int32), jax.random.key(config.seed))
     summary = _blank()
     for done in range(0, int(steps.max()), BLOCK_STEPS):
         if done:
             references = references_at(batch, done / CONTROL_RATE + times)
         state, summary = tracker.advance(state, summary, references, (steps - done).astype(np.int32), limits, around)
-    host = _Summary(*(np.asarray(leaf)[: len(members)] for leaf in summary))
-    share = host.saturated / steps[: len(members)]
-    return host._replace(saturated=share)
+    host = _Summary(*map(np.asarray, summary))
+    return host._replace(saturated=host.saturated / steps)
 
 
 def control_steps(durations: Float[np.ndarray, "k"]) -> Int[np.ndarray, "k"]:
@@ -157,14 +193,14 @@ def control_steps(durations: Float[np.ndarray, "k"]) -> Int[np.ndarray, "k"]:
 
 
 def _result(
-    durations: Float[np.ndarray, "k"], flown: Int[np.ndarray, "f"], parts: list[_Summary], thresholds: Thresholds
+    durations: Float[np.ndarray, "k"], flown: Int[np.ndarray, "f"], summary: _Summary | None, thresholds: Thresholds
 ) -> TrackingResult:
-    """The summaries of the chunks in the order of the flights, and what follows from them."""
+    """The summary of those that were flown, in the order of all flights, and what follows from it."""
     columns = []
     for place, otherwise in enumerate((np.inf, np.inf, 0.0, np.nan, 0.0)):
         column = np.full(len(durations), otherwise)
-        if parts:
-            column[flown] = np.concatenate([part[place] for part in parts])
+        if summary is not None:
+            column[flown] = summary[place]
         columns.append(column)
     position, yaw, first, speed, saturated = columns
     finite = np.isfinite(durations)
@@ -194,29 +230,22 @@ def _default_vehicle() -> Vehicle:
     return load_vehicle()
 
 
-class _Content:
+@dataclasses.dataclass(frozen=True)
+class _Numbers:
     """A vehicle compared by its numbers, so that loading a preset twice compiles once."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
-        self.vehicle = vehicle
-        leaves, structure = jax.tree.flatten(vehicle)
-        self.key = (str(structure), *(np.asarray(leaf, dtype=np.float64).tobytes() for leaf in leaves))
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Content) and self.key == other.key
+    fingerprint: str
+    vehicle: Vehicle = dataclasses.field(compare=False)
 
 
 @functools.lru_cache(maxsize=8)
-def _tracker(content: _Content, noise: bool, controller: ControllerName) -> _Tracker:
+def _tracker(numbers: _Numbers, noise: bool, controller: ControllerName) -> _Tracker:
     """The programs that fly ``WIDTH`` lanes of one vehicle; kept, since they cost seconds to compile."""
-    plant = build_plant(content.vehicle, noise=noise, controller=controller)
+    plant = build_plant(numbers.vehicle, noise=noise, controller=controller)
 
     def reset(references: FlatState, numbers: Int[Array, "b"], key: PRNGKeyArray) -> PlantState:
         keys = jax.vmap(lambda number: jax.random.fold_in(key, number))(numbers)
-        return jax.vmap(plant.reset, (-1, 0), -1)(references, keys)
+        return jax.vmap(plant.reset)(references, keys)
 
     def advance(
         state: PlantState,
@@ -227,30 +256,30 @@ def _tracker(content: _Content, noise: bool, controller: ControllerName) -> _Tra
         disturbance: Disturbance | None,
     ) -> tuple[PlantState, _Summary]:
         begun = state.step
-        state, log = plant.fly_lanes(state, references, disturbance)
-        active = jnp.arange(BLOCK_STEPS)[:, None] < left
+        state, log = jax.vmap(plant.fly)(state, references, disturbance)
+        active = jnp.arange(BLOCK_STEPS)[None, :] < left[:, None]
         return state, _updated(summary, log, active, begun, limits)
 
     return _Tracker(reset=float32_island(reset), advance=float32_island(advance))
 
 
 def _updated(
-    summary: _Summary, log: FlightLog, active: Bool[Array, "n b"], begun: Int[Array, "b"], limits: Float[Array, "2"]
+    summary: _Summary, log: FlightLog, active: Bool[Array, "b n"], begun: Int[Array, "b"], limits: Float[Array, "2"]
 ) -> _Summary:
     """The summary after one more block; what is not finite counts as infinite."""
     position = jnp.where(jnp.isfinite(log.position_error), log.position_error, jnp.inf)
     yaw = jnp.where(jnp.isfinite(log.yaw_error), log.yaw_error, jnp.inf)
     broken = active & ~((position < limits[0]) & (yaw < limits[1]))
-    step = begun + 1 + jnp.argmax(broken, axis=0)
-    violation = jnp.where(jnp.any(broken, axis=0), step / CONTROL_RATE, jnp.inf).astype(jnp.float32)
-    speeds = jnp.max(log.rotor_speeds, axis=1)
+    step = begun + 1 + jnp.argmax(broken, axis=1)
+    violation = jnp.where(jnp.any(broken, axis=1), step / CONTROL_RATE, jnp.inf).astype(jnp.float32)
+    speeds = jnp.max(log.rotor_speeds, axis=2)
     speeds = jnp.where(active & jnp.isfinite(speeds), speeds, 0.0)
     return _Summary(
-        position_error=jnp.maximum(summary.position_error, jnp.max(jnp.where(active, position, 0.0), axis=0)),
-        yaw_error=jnp.maximum(summary.yaw_error, jnp.max(jnp.where(active, yaw, 0.0), axis=0)),
+        position_error=jnp.maximum(summary.position_error, jnp.max(jnp.where(active, position, 0.0), axis=1)),
+        yaw_error=jnp.maximum(summary.yaw_error, jnp.max(jnp.where(active, yaw, 0.0), axis=1)),
         first_violation=jnp.minimum(summary.first_violation, violation),
-        rotor_speed=jnp.maximum(summary.rotor_speed, jnp.max(speeds, axis=0)),
-        saturated=summary.saturated + jnp.sum(active & log.saturated, axis=0, dtype=jnp.int32),
+        rotor_speed=jnp.maximum(summary.rotor_speed, jnp.max(speeds, axis=1)),
+        saturated=summary.saturated + jnp.sum(active & log.saturated, axis=1, dtype=jnp.int32),
     )
 
 
@@ -279,13 +308,11 @@ def _for_each(disturbance: Disturbance, count: int) -> Disturbance:
     return Disturbance(**{name: rows(getattr(disturbance, name), size) for name, size in SHAPES.items()})
 
 
-def _check_start(
-    start: FlatState, begin: Float[np.ndarray, "b 3"], members: Int[np.ndarray, "b"], limit: float
-) -> None:
-    apart = np.linalg.norm(begin[: len(members)] - np.asarray(start.pos), axis=1)
+def _check_start(start: FlatState, begin: Float[np.ndarray, "b 3"], rows: Int[np.ndarray, "b"], limit: float) -> None:
+    apart = np.linalg.norm(begin - np.asarray(start.pos), axis=1)
     if not np.all(apart < limit):
         worst = int(np.argmax(np.where(np.isfinite(apart), apart, np.inf)))
         raise InputError(
-            f"start: trajectory {members[worst]} begins {apart[worst]:.2f} m from the vehicle, want less than the "
+            f"start: trajectory {rows[worst]} begins {apart[worst]:.2f} m from the vehicle, want less than the "
             f"position threshold of {limit:.2f} m; begin the trajectory where the vehicle is"
         )

@@ -18,6 +18,7 @@ from jaxplan.errors import FileError
 from jaxplan.feasibility.classifier import Classifier, Model
 from jaxplan.feasibility.features import motion_features
 from jaxplan.feasibility.gaussian_process import marginals
+from jaxplan.files import write_atomically
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.precision import in_float64
 from jaxplan.tracking.track import track
@@ -98,10 +99,7 @@ def latents(model: Model, motion: Float[np.ndarray, "f p n"]) -> tuple[Float[np.
 
 def save_labels(path: Path, labelled: Labelled) -> None:
     """One round's labels."""
-    temporary = path.with_suffix(".part")
-    with temporary.open("wb") as file:
-        np.savez(file, motion=labelled.motion, feasible=labelled.feasible)
-    temporary.replace(path)
+    write_atomically(path, lambda staged: np.savez(staged, motion=labelled.motion, feasible=labelled.feasible))
 
 
 def load_labels(paths: list[Path]) -> Labelled:

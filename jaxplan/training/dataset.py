@@ -11,7 +11,6 @@ import hashlib
 import io
 import json
 import math
-import os
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,6 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxplan.errors import FileError, InputError
+from jaxplan.files import create_folder, write_atomically
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.precision import in_float64
 from jaxplan.training.labels import (
@@ -43,7 +43,8 @@ from jaxplan.training.sequences import (
     take,
 )
 from jaxplan.training.worlds import random_world
-from jaxplan.vehicle.params import Vehicle, load_vehicle
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import Vehicle
 
 LANES = 512
 """Sequences that are labelled together."""
@@ -64,10 +65,13 @@ class DatasetConfig:
     """What is made."""
 
     shards: int = 48
-    """Of 2,560 sequences each."""
+    """How many shards, of 2,560 sequences each."""
     seed: int = 1
+    """Seed of the rooms and sequences."""
     vehicle: str = "mfrl"
+    """A preset's name or a TOML file."""
     labels: LabelConfig = LabelConfig()
+    """How the labels are searched."""
 
     def __post_init__(self) -> None:
         if self.shards < 1 or self.seed < 0:
@@ -121,7 +125,7 @@ def make_dataset(
     Args:
         each: who makes them, in whatever order.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    create_folder(folder)
     record = {"config": dataclasses.asdict(config), "shard_size": SHARD_SIZE, "held_out_every": HELD_OUT}
     stated = folder / "dataset.json"
     if stated.exists():
@@ -130,7 +134,7 @@ def make_dataset(
             raise FileError(f"{folder}: holds a dataset of another configuration; choose another folder")
         if held.shards > config.shards:
             raise FileError(f"{folder}: is of {held.shards} shards, want no fewer than that, have {config.shards}")
-    stated.write_text(json.dumps(record, indent=1) + "\n")
+    write_atomically(stated, json.dumps(record, indent=1) + "\n")
     missing = [index for index in range(config.shards) if not shard_path(folder, index).exists()]
     for index, shard in each(functools.partial(flown_shard, config), missing):
         write_shard(shard_path(folder, index), shard)
@@ -139,7 +143,7 @@ def make_dataset(
             f"shard {index + 1} of {config.shards}: {labelled:.1%} labelled, {tracked:.1%} of them tracked at the limit"
         )
     hashes = {path.name: digest(path) for path in (shard_path(folder, index) for index in range(config.shards))}
-    stated.write_text(json.dumps({**record, "sha256": hashes}, indent=1) + "\n")
+    write_atomically(stated, json.dumps({**record, "sha256": hashes}, indent=1) + "\n")
 
 
 def read_config(folder: Path) -> DatasetConfig:
@@ -222,20 +226,22 @@ def shard_path(folder: Path, index: int) -> Path:
 
 def write_shard(path: Path, shard: Shard) -> None:
     """Whole or not at all."""
-    temporary = path.with_suffix(".part.npz")
-    np.savez_compressed(
-        temporary,
-        waypoints=np.asarray(shard.queries.waypoints, np.float32),
-        count=np.asarray(shard.queries.count, np.int32),
-        derivatives=np.asarray(shard.queries.derivatives, np.float32),
-        yaw=np.asarray(shard.queries.yaw, np.float32),
-        durations=np.asarray(shard.durations, np.float32),
-        feasible=shard.feasible,
-        slowdown=np.asarray(shard.slowdown, np.float32),
-        alpha=np.asarray(shard.alpha, np.float32),
-        sped_up=np.asarray(shard.sped_up, np.float32),
-    )
-    os.replace(temporary, path)
+
+    def write(staged: Path) -> None:
+        np.savez_compressed(
+            staged,
+            waypoints=np.asarray(shard.queries.waypoints, np.float32),
+            count=np.asarray(shard.queries.count, np.int32),
+            derivatives=np.asarray(shard.queries.derivatives, np.float32),
+            yaw=np.asarray(shard.queries.yaw, np.float32),
+            durations=np.asarray(shard.durations, np.float32),
+            feasible=shard.feasible,
+            slowdown=np.asarray(shard.slowdown, np.float32),
+            alpha=np.asarray(shard.alpha, np.float32),
+            sped_up=np.asarray(shard.sped_up, np.float32),
+        )
+
+    write_atomically(path, write)
 
 
 def read_shard(path: Path) -> Shard:

@@ -27,7 +27,8 @@ from jaxplan.training.dataset import (
 from jaxplan.training.labels import LabelConfig, Queries, initial_states, sped_up
 from jaxplan.training.scores import binary_scores
 from jaxplan.training.sequences import join, take
-from jaxplan.vehicle.params import Vehicle, load_vehicle
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import Vehicle
 
 ALPHAS = np.geomspace(0.5, 2.0, 7)
 """Factors of the initial state's speed at which the response is looked at."""

@@ -40,19 +40,19 @@ class ImitationConfig:
     """What counts how much."""
 
     divergence: float = 1e-4
-    """The Kullback-Leibler divergence of the bottleneck (as the predecessors')."""
+    """Weight of the Kullback-Leibler divergence of the bottleneck (as the predecessors')."""
     total: float = 4.0
-    """The error of the total time,"""
+    """Weight of the error of the total time."""
     haste: float = 1.25
-    """and so much more where it is too short."""
+    """What is added to ``total`` where the total time is too short."""
     response: float = 8.0
-    """The error of the change of the total time with the initial state."""
+    """Weight of the error of the change of the total time with the initial state."""
     growth: float = 4.0
-    """``growth_shortfall``."""
+    """Weight of how much too little the flight time grows with alpha (``growth_shortfall``)."""
     excess: float = 0.4
-    """``thrust_excess`` [1/s]; with 0 no flight is solved, and a step takes half the time."""
+    """Weight of thrust beyond the rotors' limits [1/s]. With 0 no flight is solved, and a step takes half the time."""
     max_yaw_rate: float = 1.5
-    """Of the flights that are solved [rad/s]."""
+    """Largest yaw rate of the flights that are solved [rad/s]."""
 
     def __post_init__(self) -> None:
         if not self.excess >= 0.0:

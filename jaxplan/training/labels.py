@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxplan.minsnap.spline_batch import SplineBatch, fit_each
-from jaxplan.minsnap.time_allocation import TimeAllocationConfig, allocate
+from jaxplan.minsnap.time_allocation import TimeAllocationConfig, optimise_durations
 from jaxplan.spline import FlatStateBatch
 from jaxplan.tracking.track import track
 from jaxplan.vehicle.limits import least_rotor_margin, rotor_limit_margin
@@ -142,7 +142,9 @@ def _initial_margin(vehicle: Vehicle, queries: Queries) -> Float[Array, "b"]:
 def _smoothest(queries: Queries, total: Float[Array, "b"]) -> Float[Array, "m b"]:
     """Durations of least snap that add up to ``total``."""
     settings = TimeAllocationConfig(tolerance=1e-4, max_evaluations=40)
-    found = allocate("fixed", None, settings, queries.waypoints, queries.count - 1, total, queries.derivatives, None)
+    found = optimise_durations(
+        "fixed", None, settings, queries.waypoints, queries.count - 1, total, queries.derivatives, None
+    )
     return found.durations
 
 

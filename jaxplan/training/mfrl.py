@@ -20,6 +20,7 @@ from jaxtyping import Float
 
 from jaxplan.errors import InputError
 from jaxplan.feasibility.classifier import Model, make_classifier, new_model
+from jaxplan.files import state_configuration, write_atomically
 from jaxplan.policy.network import NetworkConfig, PolicyNetwork
 from jaxplan.precision import in_float64
 from jaxplan.training import active
@@ -27,7 +28,6 @@ from jaxplan.training.classifier import ClassifierConfig, Labelled, calibrate, t
 from jaxplan.training.examples import Examples, as_queries, batches, lanes_of
 from jaxplan.training.labels import LabelConfig
 from jaxplan.training.reinforce import Learner, ReinforceConfig, build_climb, log_durations, start_learning
-from jaxplan.training.runs import claim, write_whole
 from jaxplan.training.scores import binary_scores
 from jaxplan.vehicle.params import Vehicle
 
@@ -37,6 +37,7 @@ class MfrlConfig:
     """One run."""
 
     reinforce: ReinforceConfig = ReinforceConfig()
+    """How the policy is reinforced."""
     classifier: ClassifierConfig = ClassifierConfig(steps=200, learning_rate=1e-3)
     """Steps and learning rate of every round but the first."""
     first_steps: int = 2000
@@ -44,6 +45,7 @@ class MfrlConfig:
     first_labels: int = 10_000
     """Rollouts of the first round, at random."""
     rounds: int = 50
+    """Rounds of labelling, training of the classifier, and reinforcement."""
     pool: int = 2048
     """Flights of which each round chooses what to label."""
     chosen: int = 256
@@ -59,7 +61,9 @@ class MfrlConfig:
     steps: int = 120
     """Gradient steps of the policy in each round."""
     batch: int = 256
+    """Sequences of each gradient step."""
     seed: int = 0
+    """Seed of sequences, noise and batches."""
 
     def __post_init__(self) -> None:
         for name in ("first_steps", "first_labels", "rounds", "pool", "steps", "batch", "calibration"):
@@ -94,7 +98,7 @@ def reinforce(
         examples: training sequences with their minimum-snap labels.
         parameters: the pretrained weights.
     """
-    claim(folder, config, free=("rounds",))
+    state_configuration(folder, dataclasses.asdict(config), may_differ=("rounds",))
     climb = in_float64(build_climb(network, parameters, vehicle, config.reinforce))
     durations = in_float64(jax.jit(lambda weights, some: jnp.exp(log_durations(PolicyNetwork(network), weights, some))))
     airfield = _Airfield(config, examples, vehicle, active.build_solve(vehicle, labels), durations)
@@ -110,7 +114,7 @@ def reinforce(
             earned.append(found)
         means = jax.tree.map(lambda *leaves: float(np.mean(leaves)), *earned)
         run = Run(learner, run.model, index + 1)
-        write_whole(folder / "state.msgpack", serialization.to_bytes(_savable(run)))
+        write_atomically(folder / "state.msgpack", serialization.to_bytes(_savable(run)))
         row |= {"round": index + 1, **means._asdict(), "deviation": float(np.exp(learner.log_deviation))}
         with (folder / "metrics.jsonl").open("a") as log:
             log.write(json.dumps(row) + "\n")

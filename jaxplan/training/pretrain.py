@@ -17,6 +17,7 @@ from flax import serialization
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxplan.errors import InputError
+from jaxplan.files import state_configuration, write_atomically
 from jaxplan.knots import MAX_WAYPOINTS
 from jaxplan.policy.features import SEGMENT_FEATURES, STATE_FEATURES
 from jaxplan.policy.network import NetworkConfig, PolicyNetwork
@@ -25,8 +26,8 @@ from jaxplan.precision import in_float64
 from jaxplan.training.dataset import read_config
 from jaxplan.training.examples import Examples, batches, lanes_of, load_examples
 from jaxplan.training.imitation import ImitationConfig, imitation_loss
-from jaxplan.training.runs import claim, write_whole
-from jaxplan.vehicle.params import Vehicle, load_vehicle
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import Vehicle
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,17 +35,23 @@ class PretrainConfig:
     """How a policy is trained to imitate."""
 
     network: NetworkConfig = NetworkConfig()
+    """Sizes of the network."""
     steps: int = 30_000
+    """Gradient steps at most."""
     batch: int = 512
+    """Sequences of each step."""
     learning_rate: float = 3e-3
     """At its highest; warmed up and annealed by a cosine."""
     imitation: ImitationConfig = ImitationConfig()
+    """What counts how much."""
     average: float = 0.999
     """Decay of the running mean of the weights, which is what is kept."""
     evaluate_every: int = 500
+    """Gradient steps between two evaluations on held-out sequences."""
     patience: int = 12
     """Evaluations without a better score after which training ends."""
     seed: int = 0
+    """Seed of the weights and batches."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "batch", "evaluate_every", "patience"):
@@ -124,8 +131,8 @@ def pretrain(
         better = error.overall < best
         best, stale = (error.overall, 0) if better else (best, stale + 1)
         if better:
-            write_whole(folder / "best.msgpack", serialization.to_bytes(state.averaged))
-        write_whole(folder / "state.msgpack", serialization.to_bytes((state._asdict(), best, stale)))
+            write_atomically(folder / "best.msgpack", serialization.to_bytes(state.averaged))
+        write_atomically(folder / "state.msgpack", serialization.to_bytes((state._asdict(), best, stale)))
         row = {"step": step, "loss": float(loss), "error": error.overall, "bias": error.mean}
         with (folder / "metrics.jsonl").open("a") as log:
             log.write(json.dumps(row) + "\n")
@@ -170,7 +177,7 @@ def _optimiser(config: PretrainConfig) -> optax.GradientTransformation:
 
 def _resume(folder: Path, config: PretrainConfig, start: Any) -> tuple[State, float, int]:
     """The run in ``folder``, or a new one."""
-    claim(folder, config)
+    state_configuration(folder, dataclasses.asdict(config))
     saved = folder / "state.msgpack"
     fresh = start_training(config, start)
     if not saved.exists():

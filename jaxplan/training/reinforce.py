@@ -31,11 +31,13 @@ class ReinforceConfig:
     """How a policy is reinforced."""
 
     method: Literal["ppo", "gradient"] = "gradient"
+    """ppo: proximal policy optimisation; gradient: along the reward's own gradient."""
     bonus: float = 0.6
+    """Reward of a feasible flight that is no faster than the minimum-snap label; 0 is the paper's."""
     ceiling: float = float("inf")
     """Largest gain of time that is rewarded."""
     learning_rate: float = 3e-4
-    """At first."""
+    """Learning rate of the policy at first."""
     halved: int = 2000
     """Gradient steps after which the learning rate is half of that; after twice as many it is a third."""
     anchor: float = 0.001
@@ -44,7 +46,7 @@ class ReinforceConfig:
     deviation: float = 0.1
     """Standard deviation of the logarithms of the durations that are tried."""
     tries: int = 4
-    """Of each sequence (ppo)."""
+    """Durations that are tried for each sequence (ppo)."""
     passes: int = 4
     """Gradient steps on the same tries (ppo)."""
     ratio: float = 0.2
@@ -52,6 +54,7 @@ class ReinforceConfig:
     entropy: float = 1e-3
     """Weight of the logarithm of the deviation, which ppo learns."""
     max_yaw_rate: float = 1.5
+    """Largest yaw rate of the flights that are solved [rad/s]."""
 
     def __post_init__(self) -> None:
         if self.method not in ("ppo", "gradient"):

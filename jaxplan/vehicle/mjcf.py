@@ -1,4 +1,4 @@
-"""Vehicles from all kinds of files; from a user's own MJCF, with one free body, four rotor sites and four actuators.
+"""Vehicles from a user's own MJCF, with one free body, four rotor sites and four actuators.
 
 MuJoCo knows mass, inertia, places and the torque that goes with a thrust. What it does not know (thrust coefficient,
 motor lag, drag, noise, gains) is taken from a base vehicle.
@@ -14,8 +14,8 @@ from jaxtyping import Float
 from jaxplan.errors import FileError, InputError
 from jaxplan.mjcf_probe import probe_mjcf
 from jaxplan.records import replace
-from jaxplan.vehicle import params
 from jaxplan.vehicle.params import Vehicle
+from jaxplan.vehicle.toml import preset
 
 _MAX_BYTES = 2**20
 """Arbitrary, far above any vehicle."""
@@ -23,17 +23,6 @@ _REFUSED = re.compile(
     rb"<\s*(!DOCTYPE|!ENTITY|include|plugin|extension|hfield|replicate|composite|flexcomp|attach|mesh)"
 )
 """What can read other files or grow without bound."""
-
-
-def load_vehicle(name_or_path: str | Path = "mfrl") -> Vehicle:
-    """A preset by name ("mfrl", "flightgoggles"), or by path a TOML file of the presets' form or an MJCF file (.xml).
-
-    Raises InputError for an unknown name, FileError for a file that cannot be used. ``vehicle_from_mjcf`` says what is
-    read from MJCF.
-    """
-    if Path(name_or_path).suffix.lower() == ".xml":
-        return vehicle_from_mjcf(name_or_path)
-    return params.load_vehicle(name_or_path)
 
 
 def vehicle_from_mjcf(path: str | Path, *, base: Vehicle | None = None) -> Vehicle:
@@ -47,7 +36,7 @@ def vehicle_from_mjcf(path: str | Path, *, base: Vehicle | None = None) -> Vehic
             rank is refused with its rank.
     """
     model = _compiled(Path(path))
-    known = params.load_vehicle() if base is None else base
+    known = preset("mfrl") if base is None else base
     try:
         return _vehicle(model, known, Path(path).stem)
     except InputError as error:

@@ -1,11 +1,5 @@
-"""What a quadrotor is: its parameters, and where they are read from.
+"""What a quadrotor is: its parameters, and what they must fulfil."""
 
-Presets are TOML files beside this module, one parameter a line, with its unit and its source.
-"""
-
-import dataclasses
-import tomllib
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -13,14 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, DTypeLike, Float
 
-from jaxplan.errors import FileError, InputError
+from jaxplan.errors import InputError
 from jaxplan.records import record, static
 from jaxplan.vehicle.gains import IndiGains, Se3Gains
 
-_PRESETS = Path(__file__).parent / "presets"
-_GAINS = {"indi": IndiGains, "se3": Se3Gains}
-"""Optional tables of a vehicle file."""
-_SHAPES = {"inertia": (3,), "rotor_positions": (4, 3), "rotor_spin": (4,)}
+SHAPES: dict[str, tuple[int, ...]] = {"inertia": (3,), "rotor_positions": (4, 3), "rotor_spin": (4,)}
+"""Of the fields that are not single numbers."""
 _NON_NEGATIVE = (
     "rotor_inertia",
     "rotor_speed_min",
@@ -115,76 +107,9 @@ class Vehicle:
         return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
 
 
-def list_presets() -> list[str]:
-    """The names that ``load_vehicle`` knows, sorted."""
-    return sorted(path.stem for path in _PRESETS.glob("*.toml"))
-
-
-def load_vehicle(name_or_path: str | Path = "mfrl") -> Vehicle:
-    """A preset by name, or a TOML file of the same form by path (anything with a suffix or a folder).
-
-    ``jaxplan.load_vehicle`` reads MJCF as well. Raises InputError for an unknown name, FileError for a file that cannot
-    be used.
-    """
-    path = Path(name_or_path)
-    if path.suffix or path.parent != Path("."):
-        return _read_vehicle(path)
-    if str(name_or_path) not in list_presets():
-        raise InputError(
-            f"There is no vehicle preset {str(name_or_path)!r}: "
-            f"use one of {', '.join(list_presets())}, or the path of a .toml file."
-        )
-    return _read_vehicle(_PRESETS / f"{name_or_path}.toml")
-
-
-def _read_vehicle(path: Path) -> Vehicle:
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileError(
-            f"Cannot read the vehicle file {path} ({error}): give the path of a readable UTF-8 .toml file."
-        ) from error
-    except tomllib.TOMLDecodeError as error:
-        raise FileError(f"The vehicle file {path} is not TOML ({error}): start from one of the presets.") from error
-    gains: dict[str, Any] = {key: _gains(path, key, table.pop(key)) for key in _GAINS if key in table}
-    wanted = {field.name for field in dataclasses.fields(Vehicle)} - {"name", *_GAINS}
-    for key in sorted(wanted ^ set(table)):
-        kind = "lacks the key" if key in wanted else "has the unknown key"
-        raise FileError(f"The vehicle file {path} {kind} {key!r}: the keys are {', '.join(sorted(wanted))}.")
-    values: dict[str, Any] = {key: _number(path, key, value) for key, value in table.items()}
-    try:
-        return Vehicle(name=path.stem, **(values | gains))
-    except InputError as error:
-        raise FileError(f"The vehicle file {path} cannot be used: {error}") from error
-
-
-def _gains(path: Path, key: str, table: Any) -> IndiGains | Se3Gains:
-    """One table of gains; keys left out keep their defaults."""
-    known = {field.name for field in dataclasses.fields(_GAINS[key])}
-    if not isinstance(table, dict) or not set(table) <= known:
-        raise FileError(f"The table [{key}] in the vehicle file {path} is {table!r}: its keys are {sorted(known)}.")
-    try:
-        return _GAINS[key](**{name: tuple(v) if isinstance(v, list) else v for name, v in table.items()})
-    except InputError as error:
-        raise FileError(f"The vehicle file {path} cannot be used: {error}") from error
-
-
-def _number(path: Path, key: str, value: Any) -> float | Float[np.ndarray, "..."]:
-    """``value`` as a float, or as a float64 array of the shape that ``key`` has."""
-    shape = _SHAPES.get(key, ())
-    try:
-        array = np.array(value)
-    except ValueError:
-        array = np.array(None)
-    if array.dtype.kind not in "if" or array.shape != shape:
-        want = f"an array of shape {shape}" if shape else "a number"
-        raise FileError(f"The key {key!r} in the vehicle file {path} is {value!r}: want {want} in SI units.")
-    return array.astype(np.float64) if shape else float(array)
-
-
 def _require(vehicle: Vehicle, name: str, want: str, good: Any) -> None:
     value = np.asarray(getattr(vehicle, name), dtype=np.float64)
-    shape = _SHAPES.get(name, ())
+    shape = SHAPES.get(name, ())
     if value.shape != shape or not np.all(np.isfinite(value)) or not np.all(good(value)):
         raise InputError(
             f"{name} of vehicle {vehicle.name!r} is {value.tolist()}: want finite numbers {want} of shape {shape}."

@@ -17,12 +17,13 @@ that each primitive is one vectorised pass over the points.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
+from jaxplan.arrays import AnyArray
 from jaxplan.world.obstacles import Boxes, Capsules, Cylinders, DistanceGrid, Mesh, Obstacles, Planes, Spheres, World
 
 _FEW = 32
@@ -35,21 +36,30 @@ _UNROLL = 8
 class _Nearest(NamedTuple):
     """The nearest surface so far: squared distance [m^2] outside (0 inside) and depth [m] inside (0 outside)."""
 
-    outside: Array
-    inside: Array
-
-
-_T = TypeVar("_T")
-_Distance = Callable[[Any, "_Points"], _Nearest]
+    outside: Float[Array, "*batch"]
+    inside: Float[Array, "*batch"]
 
 
 class _Points(NamedTuple):
-    x: Array
-    y: Array
-    z: Array
+    """Coordinates of the points [m, world]."""
+
+    x: Float[Array, "*batch"]
+    y: Float[Array, "*batch"]
+    z: Float[Array, "*batch"]
 
 
-def clearance(world: World | Obstacles, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
+@runtime_checkable
+class _Distance(Protocol):
+    """The distance to one kind of primitive."""
+
+    def __call__(self, primitive: Any, p: _Points, /) -> _Nearest:
+        """From all points to one primitive: a row of its record, or for each point a row of its own."""
+
+
+_T = TypeVar("_T")
+
+
+def clearance(world: World | Obstacles, points: Float[AnyArray, "*batch 3"]) -> Float[Array, "*batch"]:
     """Signed distance [m] from each point (world frame, m) to the nearest obstacle; negative inside one.
 
     The room's own faces do not count (see ``wall_clearance``). Exact for primitives; for a mesh and for
@@ -69,15 +79,20 @@ def clearance(world: World | Obstacles, points: Float[Array, "*batch 3"]) -> Flo
     return jnp.where(finite, distance, jnp.nan)
 
 
-def wall_clearance(world: World, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
+def wall_clearance(world: World, points: Float[AnyArray, "*batch 3"]) -> Float[Array, "*batch"]:
     """Distance [m] from each point to the nearest face of the room from inside; negative outside; NaN for NaN."""
-    lower, upper = jnp.asarray(world.bounds)
     points = jnp.asarray(points)
+    lower, upper = (jnp.broadcast_to(corner, points.shape) for corner in jnp.asarray(world.bounds, points.dtype))
     return jnp.minimum(points - lower, upper - points).min(axis=-1)
 
 
+def free_distance(world: World, points: Float[AnyArray, "*batch 3"]) -> Float[Array, "*batch"]:
+    """Signed distance [m] to the nearest obstacle or face of the room; negative inside or outside; NaN for NaN."""
+    return jnp.minimum(clearance(world, points), wall_clearance(world, points))
+
+
 @jax.custom_jvp
-def _to_primitives(kinds: tuple, p: _Points) -> Array:
+def _to_primitives(kinds: tuple, p: _Points) -> Float[Array, "*batch"]:
     """Signed distance to the nearest primitive; inf where there is none."""
     nearest = _Nearest(jnp.full_like(p.x, jnp.inf), jnp.zeros_like(p.x))
     for distance, primitives in zip(_DISTANCES, kinds, strict=True):
@@ -92,13 +107,13 @@ def _to_primitives(kinds: tuple, p: _Points) -> Array:
 
 
 @_to_primitives.defjvp
-def _to_primitives_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+def _to_primitives_jvp(primals: tuple, tangents: tuple) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     """The derivative of the distance to the one primitive that is nearest to each point."""
     kinds, p = primals
     pairs = list(zip(_DISTANCES, kinds, strict=True))
     nearest = [_index_of_nearest(distance, primitives, p) for distance, primitives in pairs]
 
-    def to_nearest(kinds: tuple, p: _Points) -> Array:
+    def to_nearest(kinds: tuple, p: _Points) -> Float[Array, "*batch"]:
         best = jnp.full_like(p.x, jnp.inf)
         for distance, primitives, index in zip(_DISTANCES, kinds, nearest, strict=True):
             if _count(primitives):
@@ -111,7 +126,7 @@ def _to_primitives_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     return jax.jvp(to_nearest, primals, tangents)
 
 
-def _index_of_nearest(distance: _Distance, primitives: object, p: _Points) -> Array:
+def _index_of_nearest(distance: _Distance, primitives: object, p: _Points) -> Int[Array, "*batch"]:
     """For each point the number of the nearest primitive of one kind, 0 if there is none."""
 
     def compare(so_far: tuple[Array, Array], numbered: tuple[Array, object]) -> tuple[tuple[Array, Array], None]:
@@ -124,7 +139,9 @@ def _index_of_nearest(distance: _Distance, primitives: object, p: _Points) -> Ar
     return _over_primitives(compare, start, primitives, numbered=True)[1]
 
 
-def _over_primitives(merge: Callable, start: _T, primitives: object, numbered: bool = False) -> _T:
+def _over_primitives(
+    merge: Callable[[_T, Any], tuple[_T, None]], start: _T, primitives: object, numbered: bool = False
+) -> _T:
     """``merge`` every primitive of one kind into ``start``, one after the other.
 
     ``numbered`` ones in as many passes: XLA would otherwise repeat the whole comparison at every use of the number.
@@ -141,7 +158,7 @@ def _count(primitives: object) -> int:
     return int(jax.tree.leaves(primitives)[0].shape[0])
 
 
-def _signed(nearest: _Nearest) -> Array:
+def _signed(nearest: _Nearest) -> Float[Array, "*batch"]:
     return _sqrt(nearest.outside) + nearest.inside
 
 
@@ -151,9 +168,9 @@ def _box(box: Boxes, p: _Points) -> _Nearest:
         jnp.abs(box.rotation[0, i] * dx + box.rotation[1, i] * dy + box.rotation[2, i] * dz) - box.half[i]
         for i in range(3)
     ]
-    outside = sum(jnp.maximum(excess, 0.0) ** 2 for excess in q)
+    beyond = [jnp.maximum(excess, 0.0) ** 2 for excess in q]
     inside = jnp.minimum(jnp.maximum(jnp.maximum(q[0], q[1]), q[2]), 0.0)
-    return _Nearest(outside, inside)
+    return _Nearest(beyond[0] + beyond[1] + beyond[2], inside)
 
 
 def _cylinder(cylinder: Cylinders, p: _Points) -> _Nearest:
@@ -184,7 +201,9 @@ _DISTANCES: tuple[_Distance, ...] = (_box, _cylinder, _plane, _sphere, _capsule)
 """In the order of the kinds in ``clearance``; each maps one primitive and the points to a ``_Nearest``."""
 
 
-def _along_and_across(center: Float[Array, "3"], axis: Float[Array, "3"], p: _Points) -> tuple[Array, Array]:
+def _along_and_across(
+    center: Float[AnyArray, "3 ..."], axis: Float[AnyArray, "3 ..."], p: _Points
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     """Coordinate along an axis through ``center`` [m], and squared distance from that axis [m^2]."""
     dx, dy, dz = p.x - center[0], p.y - center[1], p.z - center[2]
     along = axis[0] * dx + axis[1] * dy + axis[2] * dz
@@ -204,13 +223,16 @@ def _sqrt(squared: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
 
 
 def _grid_distance(grid: Mesh | DistanceGrid, p: _Points) -> Float[Array, "*batch"]:
-    """Lower bound of the distance [m], >= 0. Outside the grid, whose box contains all that is solid, the triangle
-    inequality with the nearest point of the grid's box, or the distance to that box, whichever is larger."""
+    """Lower bound of the distance [m], >= 0.
+
+    Outside the grid, whose box contains all that is solid, the triangle inequality with the nearest point of the
+    grid's box, or the distance to that box, whichever is larger.
+    """
     shape = grid.squared.shape
-    spacing = jnp.asarray(grid.spacing, p.x.dtype)
-    weights, indices, correction, beyond = [], [], 0.0, 0.0
+    spacing, origin = jnp.asarray(grid.spacing, p.x.dtype), jnp.asarray(grid.origin, p.x.dtype)
+    weights, indices, correction, beyond = [], [], jnp.zeros_like(p.x), jnp.zeros_like(p.x)
     for axis, coordinate in enumerate(p):
-        steps = (coordinate - grid.origin[axis]) / spacing
+        steps = (coordinate - origin[axis]) / spacing
         held = jnp.clip(steps, 0.0, shape[axis] - 1.0)
         index = jnp.clip(jnp.floor(held), 0, shape[axis] - 2)
         fraction = held - index
@@ -219,16 +241,18 @@ def _grid_distance(grid: Mesh | DistanceGrid, p: _Points) -> Float[Array, "*batc
         correction += fraction * (1.0 - fraction)
         beyond += (steps - held) ** 2
     squared = _trilinear(jnp.asarray(grid.squared, p.x.dtype), indices, weights) - spacing**2 * correction
-    outside = spacing * _sqrt(jnp.asarray(beyond))
+    outside = spacing * _sqrt(beyond)
     return jnp.maximum(_sqrt(squared) - outside, outside)
 
 
-def _trilinear(values: Float[Array, "nx ny nz"], indices: list[Array], weights: list[tuple[Array, Array]]) -> Array:
+def _trilinear(
+    values: Float[Array, "nx ny nz"], indices: list[Array], weights: list[tuple[Array, Array]]
+) -> Float[Array, "*batch"]:
     """Trilinear interpolation at cells that are known to lie inside the grid."""
     _, ny, nz = values.shape
     flat = values.reshape(-1)
     base = (indices[0] * ny + indices[1]) * nz + indices[2]
-    total = 0.0
+    total = jnp.zeros_like(weights[0][0])
     for i in range(2):
         for j in range(2):
             for k in range(2):

@@ -16,12 +16,12 @@ from jaxplan.errors import FileError
 from jaxplan.numerics import safe_divide
 from jaxplan.precision import in_float64
 from jaxplan.world.obstacles import DEFAULT_KEEP_IN, Mesh, World, make_obstacles
-from jaxplan.world.voxels import sides
+from jaxplan.world.voxels import extent_text
 
 SPACING = 0.1
 """m between grid nodes. Measured on a hall of boxes: the clearance falls short of the truth by 1 cm in the mean."""
 MAX_FACES = 200_000
-"""Arbitrary: about a minute of preparation."""
+"""Arbitrary: their distances take about a minute."""
 MAX_NODES = 2**24
 """128 MB of distances."""
 
@@ -39,8 +39,8 @@ def mesh_world(path: Path, kind: str, vertices: Float[np.ndarray, "v 3"], faces:
     check_mesh(path, vertices, faces)
     if not (upper - lower > 2.0 * DEFAULT_KEEP_IN).all():
         raise FileError(
-            f"{path}: the mesh spans {sides(upper - lower)} m, want more than {2 * DEFAULT_KEEP_IN:g} m along each "
-            "axis; give the whole room, in metres"
+            f"{path}: the mesh spans {extent_text(upper - lower)} m, want more than {2 * DEFAULT_KEEP_IN:g} m along "
+            "each axis; give the whole room, in metres"
         )
     return World(
         name=path.stem,
@@ -59,7 +59,7 @@ def check_mesh(path: Path, vertices: Float[np.ndarray, "v 3"], faces: Int[np.nda
     nodes = np.ceil(extent / SPACING - 1e-9) + 1.0
     if not np.prod(nodes) <= MAX_NODES:
         raise FileError(
-            f"{path}: the mesh spans {sides(extent)} m, want at most {MAX_NODES} cells of {SPACING:g} m; "
+            f"{path}: the mesh spans {extent_text(extent)} m, want at most {MAX_NODES} cells of {SPACING:g} m; "
             "if it is in millimetres, scale it to metres"
         )
 
@@ -121,7 +121,9 @@ def _points_to_all_triangles(points: Float[Array, "p 3"], triangles: Float[Array
     return squared_distance_to_triangle(points[:, None], triangles[None])
 
 
-def squared_distance_to_triangle(point: Float[Array, "*batch 3"], triangle: Float[Array, "*batch 3 3"]) -> Array:
+def squared_distance_to_triangle(
+    point: Float[Array, "*#batch 3"], triangle: Float[Array, "*#batch 3 3"]
+) -> Float[Array, "*batch"]:
     """Squared distance [m^2] to a triangle, degenerate ones included.
 
     To its plane where the foot of the perpendicular lies inside all three edges, else to the nearest edge.
@@ -129,7 +131,7 @@ def squared_distance_to_triangle(point: Float[Array, "*batch 3"], triangle: Floa
     corners = [triangle[..., i, :] for i in range(3)]
     normal = _cross(corners[1] - corners[0], corners[2] - corners[0])
     area = _dot(normal, normal)
-    to_edges, inside = jnp.inf, area > 0.0
+    to_edges, inside = jnp.asarray(jnp.inf, area.dtype), area > 0.0
     for i in range(3):
         edge, offset = corners[(i + 1) % 3] - corners[i], point - corners[i]
         fraction = jnp.clip(safe_divide(_dot(offset, edge), _dot(edge, edge)), 0.0, 1.0)
@@ -140,11 +142,11 @@ def squared_distance_to_triangle(point: Float[Array, "*batch 3"], triangle: Floa
     return jnp.where(inside, jnp.minimum(to_plane, to_edges), to_edges)
 
 
-def _dot(a: Float[Array, "*batch 3"], b: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
+def _dot(a: Float[Array, "*#batch 3"], b: Float[Array, "*#batch 3"]) -> Float[Array, "*batch"]:
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
 
 
-def _cross(a: Float[Array, "*batch 3"], b: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+def _cross(a: Float[Array, "*#batch 3"], b: Float[Array, "*#batch 3"]) -> Float[Array, "*batch 3"]:
     return jnp.stack(
         [
             a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],

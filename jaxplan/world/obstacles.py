@@ -1,11 +1,16 @@
 """What a room is made of: its faces, solid primitives and surface meshes, as records of arrays.
 
-World frame, z up, metres. Every kind of primitive is a record of arrays with a leading axis n, which may be 0.
+Arrays of JAX or of NumPy: a file's reader makes NumPy arrays, ``jax.device_put`` the others. World frame, z up, metres.
+Every kind of primitive is a record of arrays with a leading axis n, which may be 0.
 """
 
-import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from typing import Annotated
 
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy.typing import ArrayLike
+
+from jaxplan.arrays import AnyArray
 from jaxplan.errors import InputError
 from jaxplan.records import record, static
 
@@ -18,11 +23,11 @@ motors are 0.113 m from its centre; with propellers that is about 0.2 m."""
 class Boxes:
     """Solid boxes."""
 
-    center: Float[Array, "n 3"]
+    center: Float[AnyArray, "n 3"]
     """[m]"""
-    half: Float[Array, "n 3"]
+    half: Float[AnyArray, "n 3"]
     """Half of the side lengths, along the box's own axes [m]."""
-    rotation: Float[Array, "n 3 3"]
+    rotation: Float[AnyArray, "n 3 3"]
     """R_world_box: its columns are the box's axes in the world frame."""
 
 
@@ -30,13 +35,13 @@ class Boxes:
 class Cylinders:
     """Solid cylinders with flat ends."""
 
-    center: Float[Array, "n 3"]
+    center: Float[AnyArray, "n 3"]
     """[m]"""
-    axis: Float[Array, "n 3"]
+    axis: Float[AnyArray, "n 3"]
     """Unit vector."""
-    radius: Float[Array, "n"]
+    radius: Float[AnyArray, "n"]
     """[m]"""
-    half_length: Float[Array, "n"]
+    half_length: Float[AnyArray, "n"]
     """[m]"""
 
 
@@ -44,9 +49,9 @@ class Cylinders:
 class Spheres:
     """Solid spheres."""
 
-    center: Float[Array, "n 3"]
+    center: Float[AnyArray, "n 3"]
     """[m]"""
-    radius: Float[Array, "n"]
+    radius: Float[AnyArray, "n"]
     """[m]"""
 
 
@@ -54,13 +59,13 @@ class Spheres:
 class Capsules:
     """Cylinders with hemispherical ends: all points within ``radius`` of a segment."""
 
-    center: Float[Array, "n 3"]
+    center: Float[AnyArray, "n 3"]
     """The segment's middle [m]."""
-    axis: Float[Array, "n 3"]
+    axis: Float[AnyArray, "n 3"]
     """Unit vector along the segment."""
-    radius: Float[Array, "n"]
+    radius: Float[AnyArray, "n"]
     """[m]"""
-    half_length: Float[Array, "n"]
+    half_length: Float[AnyArray, "n"]
     """Half of the segment's length, without the hemispheres [m]."""
 
 
@@ -68,9 +73,9 @@ class Capsules:
 class Planes:
     """Half spaces: everything with ``normal . p < offset`` is solid."""
 
-    normal: Float[Array, "n 3"]
+    normal: Float[AnyArray, "n 3"]
     """Unit vector that points into the free side."""
-    offset: Float[Array, "n"]
+    offset: Float[AnyArray, "n"]
     """[m]"""
 
 
@@ -78,15 +83,15 @@ class Planes:
 class Mesh:
     """A surface mesh, a hollow shell without thickness, with the squared distance to it on a regular grid."""
 
-    vertices: Float[Array, "v 3"]
+    vertices: Float[AnyArray, "v 3"]
     """[m]"""
-    faces: Int[Array, "f 3"]
+    faces: Int[AnyArray, "f 3"]
     """Three vertex indices per triangle."""
-    squared: Float[Array, "nx ny nz"]
+    squared: Float[AnyArray, "nx ny nz"]
     """Exact squared distance from each grid node to the surface [m^2]."""
-    origin: Float[Array, "3"]
+    origin: Float[AnyArray, "3"]
     """Position of node (0, 0, 0) [m]."""
-    spacing: Float[Array, ""]
+    spacing: Float[AnyArray, ""] | float
     """Distance between neighbouring nodes [m]."""
 
 
@@ -94,12 +99,12 @@ class Mesh:
 class DistanceGrid:
     """Occupied cells, with the squared distance to them at the cells' corners, held at a largest value."""
 
-    occupied: Bool[Array, "nx ny nz"]
-    squared: Float[Array, "mx my mz"]
+    occupied: Bool[AnyArray, "nx ny nz"]
+    squared: Float[AnyArray, "mx my mz"]
     """One node more than cells along each axis [m^2]."""
-    origin: Float[Array, "3"]
+    origin: Float[AnyArray, "3"]
     """Lower corner of cell (0, 0, 0), and node (0, 0, 0) [m]."""
-    spacing: Float[Array, ""]
+    spacing: Float[AnyArray, ""] | float
     """Side of a cell [m]."""
 
 
@@ -122,12 +127,12 @@ class World:
 
     name: str = static()
     """The stored world's name, or the file's name without its ending."""
-    bounds: Float[Array, "2 3"]
+    bounds: Float[AnyArray, "2 3"]
     """Lower and upper corner of the room [m]."""
     obstacles: Obstacles
-    keep_in: Float[Array, ""]
+    keep_in: Float[AnyArray, ""] | float
     """Distance that the vehicle's centre keeps from the room's faces [m]."""
-    start: Float[Array, "3"] | None = None
+    start: Float[AnyArray, "3"] | None = None
     """Where the defender hovers when nothing else is said [m]; None where the file has no such place."""
     provenance: str = static(default="")
     """Which file and which reader made this world."""
@@ -146,30 +151,37 @@ class World:
 
     @property
     def boxes(self) -> Boxes:
+        """Solid boxes."""
         return self.obstacles.boxes
 
     @property
     def cylinders(self) -> Cylinders:
+        """Solid cylinders."""
         return self.obstacles.cylinders
 
     @property
     def spheres(self) -> Spheres:
+        """Solid spheres."""
         return self.obstacles.spheres
 
     @property
     def capsules(self) -> Capsules:
+        """Solid capsules."""
         return self.obstacles.capsules
 
     @property
     def planes(self) -> Planes:
+        """Half spaces."""
         return self.obstacles.planes
 
     @property
     def mesh(self) -> Mesh | None:
+        """Surfaces of meshes, if there are any."""
         return self.obstacles.mesh
 
     @property
     def voxels(self) -> DistanceGrid | None:
+        """Occupied cells, in worlds that are made of them."""
         return self.obstacles.voxels
 
     @property
@@ -179,29 +191,34 @@ class World:
 
 
 def no_boxes() -> Boxes:
+    """No boxes: arrays of length 0."""
     return Boxes(center=np.zeros((0, 3)), half=np.zeros((0, 3)), rotation=np.zeros((0, 3, 3)))
 
 
-def aligned_boxes(lower: Float[np.ndarray, "n 3"], upper: Float[np.ndarray, "n 3"]) -> Boxes:
+def aligned_boxes(lower: Annotated[ArrayLike, "n 3"], upper: Annotated[ArrayLike, "n 3"]) -> Boxes:
     """Axis-aligned boxes from their corners [m]."""
-    lower, upper = np.asarray(lower, float).reshape(-1, 3), np.asarray(upper, float).reshape(-1, 3)
-    rotation = np.broadcast_to(np.eye(3), (len(lower), 3, 3)).copy()
-    return Boxes(center=(lower + upper) / 2.0, half=(upper - lower) / 2.0, rotation=rotation)
+    low, high = np.asarray(lower, float).reshape(-1, 3), np.asarray(upper, float).reshape(-1, 3)
+    rotation = np.broadcast_to(np.eye(3), (len(low), 3, 3)).copy()
+    return Boxes(center=(low + high) / 2.0, half=(high - low) / 2.0, rotation=rotation)
 
 
 def no_cylinders() -> Cylinders:
+    """No cylinders."""
     return Cylinders(center=np.zeros((0, 3)), axis=np.zeros((0, 3)), radius=np.zeros(0), half_length=np.zeros(0))
 
 
 def no_spheres() -> Spheres:
+    """No spheres."""
     return Spheres(center=np.zeros((0, 3)), radius=np.zeros(0))
 
 
 def no_capsules() -> Capsules:
+    """No capsules."""
     return Capsules(center=np.zeros((0, 3)), axis=np.zeros((0, 3)), radius=np.zeros(0), half_length=np.zeros(0))
 
 
 def no_planes() -> Planes:
+    """No half spaces."""
     return Planes(normal=np.zeros((0, 3)), offset=np.zeros(0))
 
 

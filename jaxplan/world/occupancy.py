@@ -16,7 +16,7 @@ import itertools
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from jaxplan.errors import InputError
 from jaxplan.precision import in_float64
@@ -54,6 +54,7 @@ class Lattice:
 
     @property
     def shape(self) -> tuple[int, int, int]:
+        """Cells along each axis."""
         return self.occupied.shape  # type: ignore[return-value]
 
 
@@ -72,14 +73,16 @@ def occupancy_lattices(
             f"world {world.name!r}: have {cells:.3g} cells of {resolutions[0]:g} m, want at most {MAX_CELLS}; "
             "use a smaller room or a coarser finest resolution"
         )
-    padded = padded_cells(world.obstacles, bounds[0], shape, resolutions[0], padding)
+    padded = padded_cells(world.obstacles, bounds[0], shape, resolutions[0], padding, np.zeros(3, dtype=np.int64))
     return tuple(
         _lattice(world, coarsen(padded, factor), resolution)
         for factor, resolution in zip(factors, resolutions, strict=True)
     )
 
 
-def cell_centres(origin: Float[np.ndarray, "3"], resolution: float, shape: tuple[int, ...]) -> list[np.ndarray]:
+def cell_centres(
+    origin: Float[np.ndarray, "3"], resolution: float, shape: tuple[int, ...]
+) -> list[Float[np.ndarray, "_"]]:
     """Coordinates of the cells' centres along each axis [m]."""
     return [origin[axis] + (np.arange(shape[axis]) + 0.5) * resolution for axis in range(3)]
 
@@ -98,22 +101,23 @@ def _factors(resolutions: tuple[float, ...]) -> list[int]:
     return factors
 
 
-def _shape(bounds: Float[np.ndarray, "2 3"], resolution: float) -> np.ndarray:
+def _shape(bounds: Float[np.ndarray, "2 3"], resolution: float) -> Int[np.ndarray, "3"]:
     return np.maximum(np.ceil((bounds[1] - bounds[0]) / resolution - 1e-6), 1.0).astype(np.int64)
 
 
 @in_float64
 def padded_cells(
     obstacles: Obstacles,
-    origin: np.ndarray,
-    shape: np.ndarray,
+    origin: Float[np.ndarray, "3"],
+    shape: Int[np.ndarray, "3"],
     resolution: float,
     padding: float,
-    first: tuple[int, int, int] = (0, 0, 0),
+    first: Int[np.ndarray, "3"],
 ) -> Bool[np.ndarray, "nx ny nz"]:
     """Which cells' centres are closer than ``padding`` to an obstacle.
 
-    ``origin`` is the lower corner of the lattice [m]; the ``shape`` cells from cell ``first`` on are judged.
+    ``origin`` is the lower corner of the lattice [m]; of its cells those from ``first`` on are looked at, ``shape`` of
+    them along each axis.
     """
     count = int(np.prod(shape))
     padded = np.empty(count, dtype=bool)
@@ -122,7 +126,7 @@ def padded_cells(
     )  # one copy, not one a chunk
     for begin in range(0, count, _BLOCK):
         index = np.arange(begin, min(begin + _BLOCK, count))
-        cells = np.stack(np.unravel_index(index, shape), axis=-1) + np.asarray(first)
+        cells = np.stack(np.unravel_index(index, shape), axis=-1) + first
         far = exact_clearance(obstacles, origin + (cells + 0.5) * resolution) >= padding
         padded[begin : begin + _BLOCK] = ~far
     return padded.reshape(shape)

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool
 from scipy import ndimage
 
 from jaxplan.world.obstacles import World
@@ -46,7 +47,7 @@ def obstacle_counts(world: World) -> dict[str, int]:
     return {kind: count for kind, count in counts.items() if count}
 
 
-def _report(occupied: np.ndarray, resolution: float) -> LatticeReport:
+def _report(occupied: Bool[np.ndarray, "nx ny nz"], resolution: float) -> LatticeReport:
     labels, parts = ndimage.label(~occupied)
     sizes = np.bincount(labels.reshape(-1))[1:]
     largest = float(sizes.max() / sizes.sum()) if parts else float("nan")

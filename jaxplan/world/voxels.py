@@ -10,7 +10,7 @@ flat or pointed feature is nearest, ``sqrt(3)/2 h`` more in the distance where s
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int, Num
 from scipy import ndimage
 
 from jaxplan.errors import FileError
@@ -41,7 +41,7 @@ def voxel_world(
     extent = np.array(occupied.shape) * resolution
     if not (extent > 2.0 * DEFAULT_KEEP_IN).all():
         raise FileError(
-            f"{path}: the map spans {sides(extent)} m, want more than {2 * DEFAULT_KEEP_IN:g} m along each axis; "
+            f"{path}: the map spans {extent_text(extent)} m, want more than {2 * DEFAULT_KEEP_IN:g} m along each axis; "
             "give the whole room, in metres"
         )
     cells = occupied.repeat(factor, 0).repeat(factor, 1).repeat(factor, 2) if factor > 1 else occupied
@@ -54,7 +54,7 @@ def voxel_world(
     )
 
 
-def check_cells(path: Path, shape: Float[np.ndarray, "3"], resolution: float) -> None:
+def check_cells(path: Path, shape: Num[np.ndarray, "3"], resolution: float) -> None:
     """Refuse a map of too many cells before anything is allocated."""
     count = float(np.prod(np.asarray(shape, dtype=float)))
     if not count <= MAX_CELLS:
@@ -64,7 +64,8 @@ def check_cells(path: Path, shape: Float[np.ndarray, "3"], resolution: float) ->
         )
 
 
-def sides(extent: Float[np.ndarray, "3"]) -> str:
+def extent_text(extent: Float[np.ndarray, "3"]) -> str:
+    """``"10 x 5 x 2"``."""
     return " x ".join(f"{side:.4g}" for side in extent)
 
 
@@ -107,12 +108,16 @@ def set_cells(
     return DistanceGrid(occupied=cells, squared=squared, origin=grid.origin, spacing=grid.spacing)
 
 
-def _window(first: np.ndarray, last: np.ndarray) -> tuple[slice, ...]:
+def _window(first: Int[np.ndarray, "3"], last: Int[np.ndarray, "3"]) -> tuple[slice, ...]:
     return tuple(slice(int(a), int(b)) for a, b in zip(first, last, strict=True))
 
 
 def _squared_distances_to_box(
-    low: np.ndarray, high: np.ndarray, first: np.ndarray, last: np.ndarray, spacing: float
+    low: Int[np.ndarray, "3"],
+    high: Int[np.ndarray, "3"],
+    first: Int[np.ndarray, "3"],
+    last: Int[np.ndarray, "3"],
+    spacing: float,
 ) -> Float[np.ndarray, "mx my mz"]:
     """[m^2] from the nodes from ``low`` to before ``high`` to the nearest of those from ``first`` to ``last``."""
     nodes = [np.arange(a, b) for a, b in zip(low, high, strict=True)]

@@ -7,23 +7,23 @@ import pytest
 
 from jaxplan import cli
 from jaxplan.errors import ResourceError
-from jaxplan.runner.distribute import spread
+from jaxplan.runner.distribute import map_on_workers
 
 pytest.importorskip("distributed")
 
 
 def test_all_numbers_come_back_with_what_was_made_of_them():
-    assert dict(spread(operator.neg, [3, 1, 4, 5], workers=2)) == {3: -3, 1: -1, 4: -4, 5: -5}
+    assert dict(map_on_workers(operator.neg, [3, 1, 4, 5], workers=2)) == {3: -3, 1: -1, 4: -4, 5: -5}
 
 
 def test_an_error_of_the_function_is_its_own():
     with pytest.raises(ValueError, match="negative shift count"):
-        list(spread((1).__lshift__, [2, -1], workers=1))
+        list(map_on_workers((1).__lshift__, [2, -1], workers=1))
 
 
 def test_a_task_that_kills_its_workers_is_given_up_by_name():
     with pytest.raises(ResourceError, match="workers died over number 7"):
-        list(spread(os._exit, [7], workers=1))
+        list(map_on_workers(os._exit, [7], workers=1))
 
 
 def test_a_scheduler_that_is_not_there_is_named(tmp_path, capsys):

@@ -17,16 +17,14 @@ import jax
 import numpy as np
 import pytest
 
-from experiments import closed_loop, guidance, policy_comparison, table1, table2
+from experiments import closed_loop, guidance, table1
 from experiments.closed_loop import EpisodeConfig
 from experiments.optimiser import optimiser_policy
-from experiments.table1_report import PAPER, by_cell, report
 from jaxplan.errors import ResourceError
 from jaxplan.minsnap.time_allocation import time_allocation
 from jaxplan.precision import in_float64
 from jaxplan.prediction.observations import Observations
 from jaxplan.runner import cluster, connection
-from jaxplan.runner.definition import Results
 from jaxplan.runner.ledger import Ledger
 from jaxplan.runner.registry import experiment_names, load_experiment
 from jaxplan.runner.shards import cut
@@ -121,26 +119,6 @@ def test_every_cell_flies_the_same_episodes_and_groups_are_together() -> None:
     for item in items:
         keys[item.values["planner"], item.values["predictor"]].append((item.values["target"], item.values["seed"]))
     assert len({tuple(sorted(flown)) for flown in keys.values()}) == 1
-
-
-def test_the_report_of_made_up_rows_says_what_is_below_the_paper() -> None:
-    config = table1.Config(episodes=4, planners=("pretrained",), predictors=("ground-truth", "constant-velocity"))
-    items, rows = table1.items(config), []
-    for item in items:
-        nth = sum(row["predictor"] == item.values["predictor"] for row in rows)
-        lost = item.values["predictor"] == "ground-truth" and nth % 2 == 0
-        numbers = {"outcome": "collision" if lost else "intercepted", "time_to_intercept_s": None if lost else 2.0}
-        rows.append({**item.values, **numbers})
-    results = Results(config, items, rows, [2.0] * 8, [False] * 8, {}, {"env1/pretrained": 30.0})
-    found = report(results)
-    assert by_cell(rows)[0].paper == PAPER["pretrained"]["ground-truth"] == 0.78
-    assert "| pretrained, ground-truth | 0.500 | 0.15 to 0.85 | 0.78 | -0.28 | 2 |" in found.markdown
-    assert "0.28 below 0.78 (within the interval); 2 failures: 2 collision" in found.markdown
-    assert "| pretrained, constant-velocity | 1.000 | 0.51 to 1.00 | - | - | 0 |" in found.markdown
-    assert "Extrapolated to 3000 episodes a cell: 3.3 h with one worker, 1.7 h with 2" in found.summary
-    assert r"\begin{tabular}" in found.latex
-    cold = report(results._replace(compiled=[True] * 8))
-    assert "Every episode compiled something (46 s in all): nothing can be extrapolated." in cold.summary
 
 
 def test_guidance_is_continuous_and_heads_for_the_target() -> None:
@@ -283,39 +261,3 @@ def test_every_figure_is_drawn(name: str, tmp_path: Path) -> None:
     assert table(tmp_path)
     shards = cut(load_experiment(name).items(load_experiment(name).presets["smoke"]), 1)
     assert len(list((tmp_path / "shards").glob("[0-9]*.json"))) <= len(shards)
-
-
-def test_the_report_of_made_up_times_has_the_papers_beside_them(tmp_path: Path) -> None:
-    config = table2.Config(worlds=("env1",))
-    rows = [
-        {"device": "cpu", "world": "env1", "candidates": 400, "stage": stage, "p50_ms": 2.0 + n, "p99_ms": 4.0 + n}
-        for n, stage in enumerate(table2.STAGES)
-    ]
-    items = table2.items(config)
-    found = table2.report(Results(config, items[:1], [{"rows": rows}], [1.0], [True], {}, {}))
-    assert "| cpu, env1, 400 | 2.00 / 4.00 | 3.00 / 5.00 |" in found.markdown
-    assert "| paper, Titan Xp, 400 | 18.7 | - | 9.5 | 71.2 | - | - | 99.4 |" in found.markdown
-    found.figures["stages.png"](tmp_path / "stages.png")
-    assert (tmp_path / "stages.png").stat().st_size > 10_000
-
-
-def test_the_report_of_made_up_flights_says_how_many_rollouts_the_margins_save() -> None:
-    config = policy_comparison.Config(policies=("mine",), labels=(100, 200, 400), shards=1, repeats=2)
-    flights = {"time": [2.0, 8.0], "error": [0.1, 0.3], "tracked": [True, False]}
-    flown = {"waypoints": [3, 9], "label": flights, "mine": {**flights, "time": [2.0, 6.0], "tracked": [True, True]}}
-    found = {"rollouts alone": (0.6, 0.8, 0.849), "with rotor margins": (0.75, 0.85, 0.84)}
-    items, rows = policy_comparison.items(config), []
-    for item in items:
-        if item.group == "flights":
-            rows.append(flown)
-            continue
-        name, shift = item.values["kind"], 0.02 * item.values["draw"] - 0.01
-        auc = found[name][config.labels.index(item.values["labels"])] + shift
-        rows.append({"labels": item.values["labels"], "auc": auc, "margin_alone": 0.7})
-    seen = policy_comparison.report(Results(config, items, rows, [1.0] * len(rows), [True], {}, {}))
-    (label, mine), text = seen.table, seen.markdown
-    assert (label["failed"], mine["failed"]) == (0.5, 0.0)
-    assert (mine["T_over_T_MS"], mine["mean_T_over_mean_T_MS"]) == pytest.approx((0.875, 0.8))
-    assert "| 100 | 0.600 | 0.750 | < 100 (1.00) |" in text
-    assert "| 200 | 0.800 | 0.850 | 141 (0.71) |" in text
-    assert "| 400 | 0.849 | 0.840 | 199 (0.50) |" in text

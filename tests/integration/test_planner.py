@@ -17,8 +17,8 @@ from jaxplan.records import replace
 from jaxplan.replanner import Replanner
 from jaxplan.spline import FlatState, hover
 from jaxplan.status import PlanStatus, Reason
-from jaxplan.vehicle.params import load_vehicle
-from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.world.clearance import free_distance
 from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import Boxes, make_obstacles
 from jaxplan.world.update import update_world, with_spare_boxes
@@ -71,7 +71,7 @@ def test_usable_plans_keep_every_promise(planner, world, moving):
         np.testing.assert_allclose(end.derivatives[1:], 0.0, atol=1e-4)
         points = spline.evaluate(np.linspace(0, float(spline.duration), 2000))[:, :3]
         with jax.enable_x64(True):
-            free = np.minimum(clearance(world, points), wall_clearance(world, points))
+            free = np.asarray(free_distance(world, points))
         assert free.min() >= load_vehicle().radius + CONFIG.checks.tracking_margin
 
 

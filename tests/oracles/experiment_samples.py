@@ -30,8 +30,14 @@ class Config:
     dying_once: tuple[int, ...] = ()
     """Items that kill their process the first time."""
 
+    unprepared: tuple[int, ...] = ()
+    """Numbers of the groups that cannot be prepared."""
+
     marks: str | None = None
     """Folder where those leave a mark, and the others a line for each time they are evaluated."""
+
+    needs: int | None = None
+    """An item that the report takes for granted."""
 
     padding: int = 0
     """Bytes that the items from the eighth on add to their results."""
@@ -62,7 +68,17 @@ def evaluate(config: Config, item: Item) -> Row:
     return {**item.values, "root": math.sqrt(number + config.seed), "padding": "x" * (config.padding * (number >= 8))}
 
 
-def report(results: Results) -> Report:
+def prepare(config: Config, group: str) -> None:
+    if int(group.split()[1]) in config.unprepared:
+        if config.marks is not None:
+            with (Path(config.marks) / "preparations.log").open("a") as file:
+                file.write(f"{group}\n")
+        raise NotImplementedError(f"{group} is not for this machine")
+
+
+def report(results: Results[Config]) -> Report:
+    if results.config.needs is not None and results.rows[results.config.needs] is None:
+        raise KeyError("rows")  # as the report of one's own that takes every row for granted
     rows = [row for row in results.rows if row is not None]
     total = sum(row["root"] for row in rows)
     return Report(f"Sum {total:.3f}\n", rows, "", {}, f"sum {total:.3f}")
@@ -74,5 +90,6 @@ EXPERIMENT = Experiment(
     items=items,
     evaluate=evaluate,
     report=report,
+    prepare=prepare,
     shard_size=3,
 )

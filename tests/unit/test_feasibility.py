@@ -43,7 +43,7 @@ from jaxplan.training.active import latents
 from jaxplan.training.classifier import ClassifierConfig, Labelled, calibrate, train_classifier
 from jaxplan.training.scores import area_under_curve, binary_scores
 from jaxplan.vehicle.limits import least_rotor_margin, thrust_limit_margin
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 
 
 def random_process(kernel, dimensions, count=20, seed=0):

@@ -12,7 +12,7 @@ from jaxplan.errors import InputError
 from jaxplan.minsnap.status import SolveStatus
 from jaxplan.minsnap.time_allocation import TimeAllocationConfig, time_allocation
 from jaxplan.vehicle.limits import rotor_limit_margin
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 
 
 def random_waypoints(lanes=4, segments=5, seed=0):

@@ -1,7 +1,5 @@
 """Predictors and candidates: what each may know, likelihoods, early rejection."""
 
-from typing import get_args
-
 import jax
 import numpy as np
 import pytest
@@ -39,6 +37,15 @@ def predict(name, observations=None, cycle=0):
 def mixture():
     """The Gaussian mixture in open space, on ten positions 0.1 s apart."""
     return build_predictor("gmm", PredictionConfig(), truth, seed=3, model=shipped_model("generic", 0.1))
+
+
+def test_spacing_follows_the_size_of_the_room():
+    """0.1 s in the room of 10 m, 0.2 s in those of 30 m, and from a diagonal of exactly 20 m on (paper, Sec. IV)."""
+    assert [PredictionConfig.for_world(load_world(name)).dt for name in ("env1", "env2", "env3")] == [0.1, 0.2, 0.2]
+    room = replace(load_world("env1"), bounds=np.array([[0.0, 0.0, 0.0], [12.0, 14.142, 2.0]]))
+    edge = replace(room, bounds=np.array([[0.0, 0.0, 0.0], [12.0, 16.0, 1e-9]]), keep_in=0.0)
+    assert edge.diagonal == 20.0
+    assert [PredictionConfig.for_world(one).dt for one in (room, edge)] == [0.1, 0.2]
 
 
 def test_none_repeats_what_was_seen_last():
@@ -165,7 +172,7 @@ def test_nothing_compiles_after_the_first_call(mixture, compilations):
 
 
 def test_the_names_that_a_user_can_give_are_those_of_the_table():
-    assert get_args(config.Predictor) == tuple(PREDICTORS)
+    assert tuple(PREDICTORS) == config.PREDICTORS
 
 
 @pytest.mark.parametrize("name", PREDICTORS)

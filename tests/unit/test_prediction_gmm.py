@@ -7,7 +7,7 @@ from jaxplan.errors import InputError
 from jaxplan.prediction.gmm import FitConfig, fit_mixture, log_likelihood
 from jaxplan.prediction.waypoints import ChainConfig, WalkConfig, chains, walks
 from jaxplan.prediction.windows import WindowConfig, draw_windows
-from jaxplan.world.free_distance import free_distance
+from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.load import load_world
 
 
@@ -80,7 +80,7 @@ def windows():
 def test_windows_are_clear_and_within_the_speeds(windows):
     world, config, drawn = windows
     assert drawn.shape == (2000, 30, 3)
-    assert free_distance(world, drawn).min() >= config.margin
+    assert host_free_distance(world, drawn).min() >= config.margin
     speeds = np.linalg.norm(np.diff(drawn, axis=1), axis=-1) / config.dt
     assert speeds.max() <= config.speeds[1] * 1.01  # maximum speeds are sampled
     assert speeds.max(axis=1).min() < 0.5

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxplan import cli
-from jaxplan.errors import FileError, InputError
+from jaxplan.errors import InputError
 from jaxplan.feasibility.classifier import make_classifier, new_model
 from jaxplan.feasibility.features import LOW_FIDELITIES, motion_features
 from jaxplan.feasibility.gaussian_process import Related, rbf
@@ -23,7 +23,7 @@ from jaxplan.training.labels import LabelConfig
 from jaxplan.training.mfrl import MfrlConfig, reinforce
 from jaxplan.training.pretrain import PretrainConfig, start_training
 from jaxplan.training.reinforce import ReinforceConfig, build_climb, rewards, start_learning
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 
 NETWORK = NetworkConfig(hidden=8, attention=4, latent=2)
 
@@ -185,5 +185,5 @@ def test_a_run_that_was_cut_off_ends_as_one_that_was_not(tmp_path, examples, par
     rows = [json.loads(line) for line in (tmp_path / "cut" / "metrics.jsonl").read_text().splitlines()]
     assert [row["round"] for row in rows] == [1, 2]
     assert {"auc", "brier", "relative_time", "probability", "rollouts"} <= set(rows[0])
-    with pytest.raises(FileError, match="another configuration"):
+    with pytest.raises(InputError, match="another configuration"):
         reinforce(tmp_path / "cut", examples, vehicle, NETWORK, parameters, MfrlConfig(), LabelConfig())

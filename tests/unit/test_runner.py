@@ -1,6 +1,7 @@
 """Configurations, shards, the ledger, resuming and bad input, with a made-up experiment; no dask here."""
 
 import csv
+import dataclasses
 import json
 import math
 import os
@@ -9,14 +10,16 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from jaxplan.errors import FileError, InputError, ResourceError
+from jaxplan.errors import FileError, IncompleteError, InputError, ResourceError
 from jaxplan.runner import run as runs
 from jaxplan.runner.configuration import as_plain, from_plain, read_config
-from jaxplan.runner.definition import Item
+from jaxplan.runner.definition import Item, Report, Results
 from jaxplan.runner.ledger import ATTEMPTS, Ledger
+from jaxplan.runner.registry import load_experiment
 from jaxplan.runner.run import Request
 from jaxplan.runner.shards import Outcome, Store, cut
 from jaxplan.runner.statistics import wilson
@@ -137,6 +140,46 @@ def test_an_item_that_raises_is_tried_alone_and_then_given_up(tmp_path: Path) ->
     assert "`number 4`: ValueError: no root of 4" in (tmp_path / "out" / "report.md").read_text()
 
 
+@pytest.mark.parametrize("options", [{"raising": (0, 1, 2, 3)}, {"raising": (1,), "needs": 1}], ids=["all", "needed"])
+def test_a_report_that_lacks_what_it_needs_says_what_failed_first(
+    tmp_path: Path, options: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Not that the report stumbled over what is missing; nothing that was finished is lost."""
+    from jaxplan import cli
+
+    config, out = Config(count=4, **options), tmp_path / "out"
+    failed = config.raising
+    with pytest.raises(IncompleteError, match=rf"{len(failed)} of 4 items failed.*'number {failed[0]}': ValueError"):
+        runs.run(request(out, config))
+    assert len(list((out / "shards").glob("[0-9]*.json"))) == 2
+    assert not (out / "report.md").exists()
+    assert cli.run(["experiment", NAME, "--out", str(out), "--resume", "--workers", "0"]) == 14
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert said.startswith(f"jaxplan: experiment: {len(failed)} of 4 items failed")
+    assert f"no root of {failed[0]}" in said
+
+
+def test_a_fault_of_the_report_itself_is_not_hidden(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(results: Results[Config]) -> Report:
+        raise ZeroDivisionError("a bug")
+
+    found = load_experiment(NAME)
+    monkeypatch.setattr(runs, "load_experiment", lambda name: dataclasses.replace(found, report=broken))
+    with pytest.raises(ZeroDivisionError, match="a bug"):
+        runs.run(request(tmp_path))
+
+
+def test_a_group_that_cannot_be_prepared_is_tried_once_and_left_out(tmp_path: Path) -> None:
+    marks = tmp_path / "marks"
+    marks.mkdir()
+    done = runs.run(request(tmp_path / "out", Config(unprepared=(1,), marks=str(marks))))
+    why = "NotImplementedError: group 1 is not for this machine (while preparing 'group 1')"
+    assert done.quarantined == {f"number {n}": why for n in range(6, 12)}
+    assert [int(row["number"]) for row in table(tmp_path / "out")] == list(range(6))
+    assert f"`number 6`: {why}" in (tmp_path / "out" / "report.md").read_text()
+    assert (marks / "preparations.log").read_text() == "group 1\n"
+
+
 def test_results_have_their_origin_beside_them(tmp_path: Path) -> None:
     runs.run(request(tmp_path / "out", command=("jaxplan", "experiment", NAME)))
     assert [float(row["root"]) for row in table(tmp_path / "out")] == [math.sqrt(n) for n in range(12)]
@@ -156,7 +199,9 @@ def test_a_folder_that_holds_something_else_is_refused(tmp_path: Path) -> None:
         runs.run(request(out))
     with pytest.raises(InputError, match="another configuration .count is 12 there and 5 here"):
         runs.run(request(out, Config(count=5), resume=True))
-    with pytest.raises(InputError, match="holds another experiment's results"):
+    with pytest.raises(
+        InputError, match=r"another configuration .experiment is 'oracles.experiment_samples' there and 'table1' here"
+    ):
         Store(out, "table1", "small", {}, resume=True)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.tex").write_text("")
@@ -283,7 +328,7 @@ def test_flags_change_fields_of_the_preset(tmp_path: Path, capsys: pytest.Captur
 
 def test_the_list_names_every_experiment_and_each_explains_its_fields(capsys: pytest.CaptureFixture) -> None:
     from jaxplan import cli
-    from jaxplan.runner.registry import experiment_names, load_experiment
+    from jaxplan.runner.registry import experiment_names
 
     assert cli.run(["experiment", "--list"]) == 0
     said = capsys.readouterr().out

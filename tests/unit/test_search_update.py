@@ -1,14 +1,18 @@
 """A world changed in flight equals the same world built anew, and costs no compilation."""
 
+import jax
 import numpy as np
 import pytest
 from scipy import ndimage
 
 from jaxplan.errors import InputError
+from jaxplan.precision import in_float64
+from jaxplan.records import replace
 from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes, warmup
 from jaxplan.search.update import update_lattices
 from jaxplan.status import Reason
+from jaxplan.world.clearance import free_distance
 from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import World, make_obstacles
 from jaxplan.world.update import update_world, with_spare_boxes
@@ -66,31 +70,88 @@ def test_what_a_new_box_encloses_is_never_reached() -> None:
     assert routes.reasons[0] == Reason.NO_PATH
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_cells_come_and_go(seed: int) -> None:
+def cells(rng: np.random.Generator, side: float, blobs: float = 2e-4) -> World:
+    """A room of 6 x 5 x 2 m with blobs of occupied cells of the given side [m]."""
+    shape = np.round(np.array([6.0, 5.0, 2.0]) / side).astype(int)
+    occupied = ndimage.binary_dilation(rng.random(shape) < blobs, iterations=2)
+    obstacles = make_obstacles(voxels=distance_grid(occupied, np.zeros(3), side))
+    return World(name="cells", bounds=np.stack([np.zeros(3), shape * side]), obstacles=obstacles, keep_in=0.2)
+
+
+@pytest.mark.parametrize(("seed", "side"), [(0, 0.1), (1, 0.1), (2, 0.1), (3, 0.1), (4, 0.4), (5, 0.4), (6, 0.4)])
+def test_cells_come_and_go(seed: int, side: float) -> None:
+    """Small cells and large ones, whose clearance falls short of the distance by more."""
     rng = np.random.default_rng(seed)
-    occupied = ndimage.binary_dilation(rng.random((60, 50, 20)) < 2e-4, iterations=2)
-    obstacles = make_obstacles(voxels=distance_grid(occupied, np.zeros(3), 0.1))
-    bounds = np.array([[0.0, 0.0, 0.0], [6.0, 5.0, 2.0]])
-    world = World(name="cells", bounds=bounds, obstacles=obstacles, keep_in=np.float64(0.2))
-    lattices = build_lattices(world)
+    world = cells(rng, side, blobs=2e-4 if side < 0.2 else 5e-3)
+    before = np.array(world.voxels.occupied)
+    configs = SearchConfig(), SearchConfig(resolutions=(0.1,), distance_fractions=())
+    lattices, alone = (build_lattices(world, config) for config in configs)
     for value in (True, False, True):
         lower = rng.uniform([-0.5, -0.5, -0.5], [5.5, 4.5, 1.5])
         upper = lower + rng.uniform(0.05, 1.5, 3)
-        world, lattices = changed(world, lattices, **{"occupy" if value else "free": (lower, upper)})
-        anew = distance_grid(np.asarray(world.voxels.occupied), np.zeros(3), 0.1)
+        moved = update_world(world, **{"occupy" if value else "free": (lower, upper)})
+        world, lattices, alone = moved.world, update_lattices(lattices, moved), update_lattices(alone, moved)
+        anew = distance_grid(np.asarray(world.voxels.occupied), np.zeros(3), side)
         np.testing.assert_allclose(world.voxels.squared, anew.squared, atol=1e-12)
-        assert_same(lattices, build_lattices(world))
-    assert (np.asarray(world.voxels.occupied) != occupied).any()
+        for updated in (lattices, alone):
+            assert_same(updated, build_lattices(world, updated.config))
+    assert (np.asarray(world.voxels.occupied) != before).any()
 
 
-def test_nothing_compiles(compilations) -> None:  # type: ignore[no-untyped-def]
-    world = with_spare_boxes(load_world("env3"), 2)
-    lattices = build_lattices(world)
+@pytest.mark.parametrize("seed", range(3))
+def test_lattices_whose_cells_do_not_divide_each_other(seed: int) -> None:
+    """0.5 m is no multiple of 0.2 m: the cells that are looked at again begin where cells of both begin."""
+    rng = np.random.default_rng(seed)
+    world = with_spare_boxes(load_world("env1"), 3)
+    lattices = build_lattices(world, SearchConfig(resolutions=(0.1, 0.2, 0.5), distance_fractions=(0.1, 0.2)))
+    for _ in range(3):
+        lower = rng.uniform([-5.5, -5.5, -0.5], [4.5, 4.5, 1.5])
+        world, lattices = changed(world, lattices, add_box=(lower, lower + rng.uniform(0.1, 1.0, 3)))
+        assert_same(lattices, build_lattices(world, lattices.config))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_many_parts_are_joined_and_named_apart(seed: int) -> None:
+    """Scattered cells without padding leave many pockets: freeing joins some of them, and new ones get new labels."""
+    rng = np.random.default_rng(seed)
+    config = SearchConfig(padding=0.06, resolutions=(0.1,), distance_fractions=())
+    world = replace(cells(rng, 0.1, blobs=0.02), keep_in=0.0)
+    lattices = build_lattices(world, config)
+    assert lattices.levels[0].components.max() > 10
+    for number in range(6):
+        lower = rng.uniform([0.5, 0.5, 0.2], [4.0, 3.0, 1.0])
+        world, lattices = changed(
+            world, lattices, **{"free" if number % 2 else "occupy": (lower, lower + rng.uniform(0.3, 1.2, 3))}
+        )
+        assert_same(lattices, build_lattices(world, config))
+    assert lattices.levels[0].components.max() < 1000
+
+
+CHANGES = {
+    "env3": [{"add_box": ([0.0, 0.0, 0.0], [1.0, 1.0, 3.0])}, {"remove_box": 0}],
+    "cells": [{"occupy": ([2.0, 2.0, 0.0], [3.0, 3.0, 1.0])}, {"free": ([2.0, 2.0, 0.0], [3.0, 3.0, 1.0])}],
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+@pytest.mark.parametrize("on_device", [False, True])
+def test_nothing_compiles(name: str, on_device: bool, compilations) -> None:  # type: ignore[no-untyped-def]
+    """Neither in the search nor where the world is an argument: what is static, shapes and dtypes stay."""
+    world = cells(np.random.default_rng(0), 0.1) if name == "cells" else with_spare_boxes(load_world(name), 2)
+    world = in_float64(jax.device_put)(world) if on_device else world
+    start, goals = np.asarray(world.bounds).mean(axis=0), np.array([[5.0, 4.0, 1.0]])
+    lattices, compiled = build_lattices(world), in_float64(jax.jit(free_distance))
     warmup(lattices, world)
+    compiled(world, start)
     compilations.count = 0
-    denser, lattices = changed(world, lattices, add_box=([0.0, 0.0, 0.0], [1.0, 1.0, 3.0]))
-    find_routes(lattices, denser, denser.start, np.array([[5.0, 5.0, 1.0]]), 10.0)
+    for change in CHANGES[name]:
+        moved, lattices = changed(world, lattices, **change)
+        assert jax.tree.structure(moved) == jax.tree.structure(world)
+        for one, other in zip(jax.tree.leaves(moved), jax.tree.leaves(world), strict=True):
+            assert (np.shape(one), np.asarray(one).dtype) == (np.shape(other), np.asarray(other).dtype)
+        find_routes(lattices, moved, start, goals, 10.0)
+        compiled(moved, start)
+        compiled(in_float64(jax.device_put)(moved), start)
     assert compilations.count == 0
 
 

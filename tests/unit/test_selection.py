@@ -7,13 +7,14 @@ import pytest
 
 from jaxplan.errors import InputError
 from jaxplan.minsnap.spline_batch import fit
-from jaxplan.selection import CheckConfig, check, select
+from jaxplan.records import replace
+from jaxplan.selection import CheckConfig, check, check_clearance, select
 from jaxplan.spline import hover
 from jaxplan.status import Reason
 from jaxplan.vehicle.flatness import differential_flatness
-from jaxplan.vehicle.params import load_vehicle
-from jaxplan.world.clearance import clearance, wall_clearance
-from jaxplan.world.obstacles import World, aligned_boxes, make_obstacles
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.world.clearance import free_distance
+from jaxplan.world.obstacles import Cylinders, World, aligned_boxes, make_obstacles
 
 LANES = 24
 
@@ -55,11 +56,32 @@ def test_clearance_is_a_lower_bound_and_a_close_one(room, batch):
         spline, times = dense(splines, lane)
         with jax.enable_x64(True):
             points = spline.evaluate(times)[:, :3]
-            true = float(jnp.min(jnp.minimum(clearance(room, points), wall_clearance(room, points))))
+            true = float(jnp.min(free_distance(room, points)))
         assert float(margins.clearance[lane]) <= true + 1e-9
         speed = np.linalg.norm(spline.evaluate(times, 1)[:, :3], axis=1).max()
         half_piece = 0.5 * speed * float(spline.durations.max()) / CheckConfig().samples_per_segment
         assert float(margins.clearance[lane]) >= true - 1.5 * half_piece
+
+
+def test_a_needle_between_samples_is_not_missed(room, batch):
+    """Each lane passes through a vertical needle of 5 mm; most samples of a lane see nothing within 5 cm of it."""
+    splines, _, margins = batch
+    rng, config, unseen = np.random.default_rng(1), CheckConfig(), 0
+    middles = (np.arange(config.samples_per_segment) + 0.5) / config.samples_per_segment
+    clear = jax.jit(lambda m, s, w: check_clearance(m, s, w, load_vehicle(), config).clearance)
+    for lane in range(LANES):
+        spline = splines.spline(lane)
+        hit = spline.evaluate(rng.uniform(0.05, 0.95) * float(spline.duration))[None, :3]
+        needle = Cylinders(
+            center=hit, axis=np.array([[0.0, 0.0, 1.0]]), radius=np.full(1, 0.0025), half_length=np.ones(1)
+        )
+        world = replace(room, obstacles=make_obstacles(cylinders=needle))
+        with jax.enable_x64(True):
+            assert float(clear(margins, splines, world)[lane]) <= 0.0
+        starts = np.cumsum(spline.durations) - spline.durations
+        times = (starts[:, None] + spline.durations[:, None] * middles).ravel()
+        unseen += np.linalg.norm((spline.evaluate(times)[:, :3] - hit)[:, :2], axis=1).min() > 0.05
+    assert unseen >= 4
 
 
 def test_rotor_margin_matches_flatness_on_dense_samples(batch):

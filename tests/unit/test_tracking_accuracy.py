@@ -10,7 +10,7 @@ from jaxplan.tracking.fidelity import build_labeller
 from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, build_plant
 from jaxplan.tracking.track import track
 from jaxplan.vehicle.limits import rotor_limit_margin
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 from oracles import plant_references
 
 TIMES = np.arange(6 * CONTROL_RATE + 1) / CONTROL_RATE
@@ -39,11 +39,11 @@ WORST = {"quiet": 0.10, "noise": 0.15}
 @pytest.fixture(scope="module", params=list(WORST))
 def flown(request: pytest.FixtureRequest) -> tuple[float, dict[str, FlightLog]]:
     plant = build_plant(load_vehicle(), noise=request.param == "noise")
-    references = jax.tree.map(lambda *leaves: np.stack(leaves, axis=-1), *REFERENCES.values())
+    references = jax.tree.map(lambda *leaves: np.stack(leaves), *REFERENCES.values())
     keys = jax.random.split(jax.random.key(0), len(REFERENCES))
-    states = jax.vmap(plant.reset, (-1, 0), -1)(jax.tree.map(lambda leaf: leaf[0], references), keys)
-    batch = plant.fly_lanes(states, references)[1]
-    logs = {name: jax.tree.map(lambda leaf, i=i: leaf[..., i], batch) for i, name in enumerate(REFERENCES)}
+    states = jax.vmap(plant.reset)(jax.tree.map(lambda leaf: leaf[:, 0], references), keys)
+    batch = jax.vmap(plant.fly)(states, references)[1]
+    logs = {name: jax.tree.map(lambda leaf, i=i: leaf[i], batch) for i, name in enumerate(REFERENCES)}
     return WORST[request.param], logs
 
 

@@ -13,7 +13,7 @@ from jaxplan.tracking.filters import FilterState
 from jaxplan.tracking.model import vehicle_body
 from jaxplan.tracking.plant import DT, Noise, PlantState, physics_step
 from jaxplan.tracking.track import TrackConfig, track
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 
 
 def test_wind_and_thrust_loss_follow_their_closed_forms() -> None:

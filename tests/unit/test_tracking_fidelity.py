@@ -11,7 +11,7 @@ from jaxplan.tracking.fidelity import build_labeller
 from jaxplan.tracking.result import Flaw
 from jaxplan.tracking.track import track
 from jaxplan.vehicle.limits import rotor_limit_margin
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 
 
 def random_splines(count: int, seed: int = 0) -> list[PiecewisePolynomial]:

@@ -14,8 +14,9 @@ from jaxplan.tracking.indi import indi
 from jaxplan.tracking.rotor_commands import rotor_commands
 from jaxplan.tracking.sensing import Sensed
 from jaxplan.vehicle.gains import IndiGains
+from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.mixing import allocation_matrix
-from jaxplan.vehicle.params import Vehicle, load_vehicle
+from jaxplan.vehicle.params import Vehicle
 
 pytestmark = pytest.mark.usefixtures("x64")
 

@@ -8,9 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from jaxplan.records import replace
 from jaxplan.tracking.filters import FilterState
-from jaxplan.tracking.model import Integrator, vehicle_body, vehicle_mjcf
+from jaxplan.tracking.model import Integrator, complete_body, vehicle_body, vehicle_mjcf
 from jaxplan.tracking.plant import DT, Noise, PlantState, physics_step
-from jaxplan.vehicle.params import Vehicle, load_vehicle
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import Vehicle
 from oracles import plant_c_mujoco
 
 STEPS = 800
@@ -24,7 +25,10 @@ def fly(vehicle: Vehicle, commands: np.ndarray, dtype: str, integrator: Integrat
     """The states after each physics step under rotor ``commands``, without noise, lanes in front."""
     wide = dtype == "float64"
     with jax.enable_x64(wide), jax.numpy_dtype_promotion("standard"):
-        body = vehicle_body(vehicle, integrator=integrator, float64=wide)
+        if integrator == "Euler":
+            body = vehicle_body(vehicle, float64=wide)
+        else:
+            body = complete_body(vehicle, integrator=integrator, float64=wide)
         cast = vehicle.astype(dtype)
         state = PlantState(
             **{

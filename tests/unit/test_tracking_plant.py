@@ -22,7 +22,8 @@ from jaxplan.tracking.plant import (
     physics_step,
     state_on_reference,
 )
-from jaxplan.vehicle.params import Vehicle, load_vehicle
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import Vehicle
 from oracles import plant_c_mujoco, plant_rigid_body
 
 Flight = Callable[[PlantState, np.ndarray], PlantState]

@@ -9,7 +9,7 @@ from conftest import CompilationCounter
 from jaxplan.spline import FlatState, hover
 from jaxplan.tracking.plant import PlantState
 from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, Plant, build_plant
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 from oracles import plant_references
 
 SECONDS = 10

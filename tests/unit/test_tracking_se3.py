@@ -15,8 +15,8 @@ from jaxplan.tracking.rollout import CONTROL_RATE, build_plant
 from jaxplan.tracking.se3 import se3
 from jaxplan.tracking.sensing import Sensed
 from jaxplan.vehicle.gains import IndiGains, Se3Gains
+from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.mixing import allocation_matrix
-from jaxplan.vehicle.params import load_vehicle
 from oracles import plant_references
 
 

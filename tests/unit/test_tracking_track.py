@@ -15,8 +15,8 @@ from jaxplan.spline import PiecewisePolynomial, hover
 from jaxplan.tracking.references import duration_of_each, padded, references_at
 from jaxplan.tracking.result import SUCCESS, TRAINING, Flaw, Thresholds, TrackingResult
 from jaxplan.tracking.rollout import CONTROL_RATE, build_plant
-from jaxplan.tracking.track import LANES, TrackConfig, track
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.tracking.track import FLIGHTS_AT_ONCE, TrackConfig, track
+from jaxplan.vehicle.load import load_vehicle
 
 
 def random_spline(rng: np.random.Generator, speed: float) -> PiecewisePolynomial:
@@ -33,7 +33,7 @@ def spoiled(spline: PiecewisePolynomial) -> PiecewisePolynomial:
 @pytest.fixture(scope="module")
 def splines() -> list[PiecewisePolynomial]:
     rng = np.random.default_rng(0)
-    return [random_spline(rng, speed) for speed in rng.uniform(1.0, 6.0, LANES + 10)]
+    return [random_spline(rng, speed) for speed in rng.uniform(1.0, 6.0, FLIGHTS_AT_ONCE + 10)]
 
 
 @pytest.fixture(scope="module")
@@ -162,8 +162,8 @@ def test_references_are_those_of_the_splines(splines: list[PiecewisePolynomial])
     sampled = references_at(padded(splines, np.array([3, 7])), times)
     for row, index in enumerate((3, 7)):
         state = splines[index].state(times)
-        np.testing.assert_allclose(sampled.derivatives[..., row], state.derivatives, rtol=1e-6, atol=1e-5)
-        np.testing.assert_allclose(sampled.yaw[..., row], state.yaw, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(sampled.derivatives[row], state.derivatives, rtol=1e-6, atol=1e-5)
+        np.testing.assert_allclose(sampled.yaw[row], state.yaw, rtol=1e-6, atol=1e-6)
 
 
 def test_a_start_beside_the_trajectory_is_flown_and_one_far_away_refused(splines: list[PiecewisePolynomial]) -> None:

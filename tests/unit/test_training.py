@@ -35,7 +35,7 @@ from jaxplan.training.pretrain import PretrainConfig, pretrain, start_training
 from jaxplan.training.sequences import SPEED_UP, free_queries, in_flight, join, open_room, rest_queries, take
 from jaxplan.training.worlds import SIZES, random_world
 from jaxplan.vehicle.limits import least_rotor_margin
-from jaxplan.vehicle.params import load_vehicle
+from jaxplan.vehicle.load import load_vehicle
 
 SMALL = PretrainConfig(
     network=NetworkConfig(hidden=8, attention=4, latent=2),
@@ -199,7 +199,7 @@ def test_training_learns_and_goes_on_where_it_stopped(tmp_path, data):
         pretrain(tmp_path / "part", data, SMALL, report=stop)
     resumed, _ = pretrain(tmp_path / "part", data, SMALL, report=lambda text: None)
     jax.tree.map(np.testing.assert_array_equal, whole.parameters, resumed.parameters)
-    with pytest.raises(FileError, match="another configuration"):
+    with pytest.raises(InputError, match="another configuration"):
         pretrain(tmp_path / "part", data, dataclasses.replace(SMALL, seed=1))
 
 

@@ -9,7 +9,8 @@ import pytest
 
 from jaxplan.records import replace
 from jaxplan.vehicle.fingerprint import fingerprint
-from jaxplan.vehicle.params import Vehicle, load_vehicle
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import Vehicle
 
 NUMBERS = [field.name for field in dataclasses.fields(Vehicle) if field.name not in ("name", "indi", "se3")]
 GAINS = [("indi", field.name) for field in dataclasses.fields(load_vehicle().indi)] + [

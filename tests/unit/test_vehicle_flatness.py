@@ -12,7 +12,8 @@ from jaxplan.records import replace
 from jaxplan.spline import FlatState, hover
 from jaxplan.vehicle.flatness import FlatOutputs, attitude_from, differential_flatness
 from jaxplan.vehicle.limits import rotor_limit_margin
-from jaxplan.vehicle.params import Vehicle, hover_speeds, load_vehicle
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import Vehicle, hover_speeds
 from jaxplan.vehicle.rotations import quat_from_rotation, rotation_from_quat, rotation_vector
 from oracles import plant_references
 from tolerances import assert_close

@@ -9,8 +9,8 @@ import pytest
 import jaxplan
 from jaxplan.errors import FileError
 from jaxplan.tracking.model import vehicle_mjcf
+from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.mjcf import vehicle_from_mjcf
-from jaxplan.vehicle.params import load_vehicle
 
 MINE = """<mujoco>
   <option gravity="0 0 -9.8"/>
@@ -49,6 +49,7 @@ def test_mass_inertia_rotors_and_limits_are_read(tmp_path: Path) -> None:
 
 
 def test_the_public_loader_takes_presets_toml_and_mjcf(tmp_path: Path) -> None:
+    assert jaxplan.load_vehicle is load_vehicle  # there is one
     assert jaxplan.load_vehicle().name == "mfrl"
     preset = Path(load_vehicle.__code__.co_filename).parent / "presets" / "flightgoggles.toml"
     assert jaxplan.load_vehicle(preset).mass == jaxplan.load_vehicle("flightgoggles").mass == 1.0

@@ -10,8 +10,10 @@ import pytest
 
 from jaxplan.errors import FileError, InputError
 from jaxplan.records import replace
+from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.mixing import allocation_matrix, inverse_allocation_matrix, signed_sqrt
-from jaxplan.vehicle.params import Vehicle, hover_speeds, list_presets, load_vehicle
+from jaxplan.vehicle.params import Vehicle, hover_speeds
+from jaxplan.vehicle.toml import list_presets
 from oracles.layouts import LAYOUTS
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxplan.records import replace
-from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.world.clearance import clearance, free_distance, wall_clearance
 from jaxplan.world.load import ENVIRONMENTS, environment_path, load_world
 from jaxplan.world.mesh import mesh_with_distances
 from jaxplan.world.obstacles import (
@@ -116,6 +116,15 @@ def test_wall_clearance() -> None:
     world = load_world("env1")
     points = np.array([[0.0, 0.0, 0.5], [4.9, 0.0, 1.0], [5.2, 0.0, 1.0], [0.0, 0.0, 2.5]])
     assert_close(wall_clearance(world, points), [0.5, 0.1, -0.2, -0.5], "exact")
+
+
+def test_free_distance_is_the_nearer_of_obstacle_and_face() -> None:
+    """A pillar's face at x = 1.2 m, the ceiling at 2 m, outside the room, inside the pillar, and nowhere."""
+    box = aligned_boxes(np.array([[0.8, -0.2, 0.0]]), np.array([[1.2, 0.2, 2.0]]))
+    bounds = np.array([[-5.0, -5.0, 0.0], [5.0, 5.0, 2.0]])
+    world = World(name="pillar", bounds=bounds, obstacles=make_obstacles(boxes=box), keep_in=0.2)
+    points = np.array([[1.5, 0.0, 1.0], [1.9, 0.0, 1.9], [5.3, 0.0, 1.0], [1.1, 0.0, 1.0], [np.nan, 0.0, 1.0]])
+    assert_close(free_distance(world, points), [0.3, 0.1, -0.3, -0.1, np.nan], "exact")
 
 
 def test_one_lipschitz_and_gradient() -> None:

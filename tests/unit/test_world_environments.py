@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from jaxplan.io.targets import target_spline
 from jaxplan.precision import in_float64
-from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.world.clearance import free_distance
 from jaxplan.world.load import ENVIRONMENTS, environment_path, load_world
 from jaxplan.world.occupancy import occupancy_lattices
 
@@ -22,7 +22,7 @@ def targets(name: str) -> dict:
 
 @in_float64
 def distance(world, points):
-    return np.minimum(np.asarray(clearance(world, points)), np.asarray(wall_clearance(world, points)))
+    return np.asarray(free_distance(world, points))
 
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)

@@ -12,7 +12,7 @@ from jaxplan.precision import in_float64
 from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes
 from jaxplan.world.clearance import clearance
-from jaxplan.world.formats.points import load_pcd
+from jaxplan.world.formats.point_clouds import load_pcd
 from jaxplan.world.load import load_world
 from oracles.peak_memory import peak_memory, start_peak_memory
 
@@ -180,7 +180,7 @@ def npz(folder: Path, name: str = "grid.npz", **arrays: object) -> Path:
     return write(folder, name, stream.getvalue())
 
 
-def test_npz_grid(tmp_path: Path) -> None:
+def test_occupancy_grid(tmp_path: Path) -> None:
     occupied = np.zeros((10, 8, 6), np.uint8)
     occupied[4, 3] = 1
     world = load_world(npz(tmp_path, occupancy=occupied, origin=[-1.0, 0.0, 0.5], resolution=0.5))

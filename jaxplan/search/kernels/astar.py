@@ -21,10 +21,10 @@ classes of an older version cannot be read, and they hold the digest of the sour
 """
 
 import functools
-from collections.abc import Callable
+from typing import Protocol, no_type_check, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from jaxplan.search.kernels import graph as g
 from jaxplan.search.kernels.cells import at, centre_of, distance, flat, indices, neighbour
@@ -44,7 +44,7 @@ from jaxplan.search.kernels.graph import (
 )
 from jaxplan.search.kernels.heap import Heap, pop, push
 from jaxplan.search.kernels.line_of_sight import sees
-from jaxplan.search.kernels.paths import Found, collect_paths, write_paths
+from jaxplan.search.kernels.paths import Found, collect_paths
 from jaxplan.search.kernels.workspace import cell_of, clean_up, workspace
 
 _RECHECK = 32
@@ -82,20 +82,39 @@ def search(
 
 def warmup() -> None:
     """Compile the search, or load it from numba's cache, by solving a room of two cells."""
-    graph = g.two_free_cells()
-    goals, points, count = np.array([[1.5, 0.5, 0.5]]), np.zeros((1, 4, 3)), np.zeros(1, np.int64)
-    found = search(graph, np.array([0.5, 0.5, 0.5]), goals, np.ones(1, np.bool_), 10)
-    write_paths(graph, found, np.zeros((1, 3)), goals, points, count)
+    search(g.two_free_cells(), np.array([0.5, 0.5, 0.5]), np.array([[1.5, 0.5, 0.5]]), np.ones(1, np.bool_), 10)
+
+
+@runtime_checkable
+class _Search(Protocol):
+    """The compiled search; records come as plain tuples."""
+
+    def __call__(
+        self,
+        graph: tuple,
+        heap: tuple,
+        goals: tuple,
+        cost: Float[np.ndarray, "n"],
+        arrival: Int[np.ndarray, "n"],
+        first: Int[np.ndarray, "ends"],
+        start: tuple[float, float, float],
+        centre: tuple[float, float, float],
+        budget: int,
+    ) -> tuple[int, float, Int[np.ndarray, "c"]]:
+        """Settle cells; ``goals`` and ``first`` are written. Points in metres (world frame)."""
 
 
 @functools.cache
-def _compiled_search() -> Callable[..., tuple[int, float, np.ndarray]]:
+def _compiled_search() -> _Search:
     version = source_digest()
 
     @entry_point
-    def entry(graph, heap, goals, cost, arrival, first, start, centre, budget):  # type: ignore[no-untyped-def]
-        """Name the parts of the plain tuples and search; returns the number of settled cells, the least f of those that
-        are open, and the cells of all paths."""
+    @no_type_check
+    def entry(graph, heap, goals, cost, arrival, first, start, centre, budget):
+        """Name the parts of the plain tuples and search.
+
+        Returns the number of settled cells, the least f of those that are open, and the cells of all paths.
+        """
         _ = version
         moves, components, frame, fine, fine_frame = graph
         graph = Graph(moves, components, Frame(*frame), fine, Frame(*fine_frame))
@@ -112,7 +131,8 @@ def _compiled_search() -> Callable[..., tuple[int, float, np.ndarray]]:
 
 
 @inner
-def _settle_all(graph, heap, goals, cost, arrival, start, centre, budget):  # type: ignore[no-untyped-def]
+@no_type_check
+def _settle_all(graph, heap, goals, cost, arrival, start, centre, budget):
     """Settle cells in order of f; returns their number. They are kept at the end of ``heap.cells``, latest first."""
     _list_goals(graph, goals)
     _open_around_start(graph, heap, goals, cost, arrival, start, centre)
@@ -133,7 +153,8 @@ def _settle_all(graph, heap, goals, cost, arrival, start, centre, budget):  # ty
 
 
 @inner
-def _list_goals(graph, goals):  # type: ignore[no-untyped-def]
+@no_type_check
+def _list_goals(graph, goals):
     """Enter each wanted goal once in the list of its cell, and mark the cells around it."""
     for k in range(len(goals.points)):
         if not goals.wanted[k]:
@@ -156,7 +177,8 @@ def _list_goals(graph, goals):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _open_around_start(graph, heap, goals, cost, arrival, start, centre):  # type: ignore[no-untyped-def]
+@no_type_check
+def _open_around_start(graph, heap, goals, cost, arrival, start, centre):
     """Open the free cells that the start sees, and join the goals next to it directly."""
     i, j, m = cell_of(graph.frame, start)
     for number in range(27):
@@ -177,7 +199,8 @@ def _open_around_start(graph, heap, goals, cost, arrival, start, centre):  # typ
 
 
 @inner
-def _drop_unreachable(graph, heap, goals):  # type: ignore[no-untyped-def]
+@no_type_check
+def _drop_unreachable(graph, heap, goals):
     """Unwant the goals that no opened component leads to; returns how many stay wanted."""
     remaining = 0
     for k in range(len(goals.points)):
@@ -190,7 +213,8 @@ def _drop_unreachable(graph, heap, goals):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _touches_open_component(graph, heap, goal):  # type: ignore[no-untyped-def]
+@no_type_check
+def _touches_open_component(graph, heap, goal):
     """Whether a goal's own cell (26), or one around it that the goal is in sight of, is connected to the start."""
     i, j, m = cell_of(graph.frame, goal)
     for number in range(27):
@@ -203,7 +227,8 @@ def _touches_open_component(graph, heap, goal):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _is_open_component(graph, heap, cell):  # type: ignore[no-untyped-def]
+@no_type_check
+def _is_open_component(graph, heap, cell):
     """Whether a cell is connected to one that was opened around the start."""
     if graph.components[cell] == 0:
         return False
@@ -214,7 +239,8 @@ def _is_open_component(graph, heap, cell):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _improve_goals(graph, goals, cell, cost):  # type: ignore[no-untyped-def]
+@no_type_check
+def _improve_goals(graph, goals, cell, cost):
     """Offer a settled cell as the entry of the goals around it."""
     i, j, m = indices(graph.frame, cell)
     middle = centre_of(graph.frame, i, j, m)
@@ -232,7 +258,8 @@ def _improve_goals(graph, goals, cell, cost):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _relax(graph, heap, cost, arrival, cell, centre):  # type: ignore[no-untyped-def]
+@no_type_check
+def _relax(graph, heap, cost, arrival, cell, centre):
     """Offer a settled cell as the predecessor of its neighbours."""
     i, j, m = indices(graph.frame, cell)
     moves = graph.moves[cell]
@@ -254,7 +281,8 @@ def _relax(graph, heap, cost, arrival, cell, centre):  # type: ignore[no-untyped
 
 
 @inner
-def _bound(goals):  # type: ignore[no-untyped-def]
+@no_type_check
+def _bound(goals):
     """No cell of at least this f can improve a goal."""
     bound = 0.0
     for k in range(len(goals.points)):

@@ -1,13 +1,15 @@
 """Arithmetic of cells and points, compiled into the search: once, because each function costs a tenth of a second."""
 
 import math
+from typing import no_type_check
 
 from jaxplan.search.kernels.compiled import inner
 from jaxplan.search.kernels.graph import STEPS
 
 
 @inner
-def index(x, origin, h, count):  # type: ignore[no-untyped-def]
+@no_type_check
+def index(x, origin, h, count):
     """The cell along one axis; the nearest one for a point on or beyond the lattice's outer faces."""
     cell = math.floor((x - origin) / h)
     if cell < 0:
@@ -16,26 +18,30 @@ def index(x, origin, h, count):  # type: ignore[no-untyped-def]
 
 
 @inner
-def flat(frame, i, j, m):  # type: ignore[no-untyped-def]
+@no_type_check
+def flat(frame, i, j, m):
     """A cell's number in C order."""
     return (i * frame.ny + j) * frame.nz + m
 
 
 @inner
-def indices(frame, cell):  # type: ignore[no-untyped-def]
+@no_type_check
+def indices(frame, cell):
     """A cell's indices from its number in C order."""
     row = cell // frame.nz
     return row // frame.ny, row % frame.ny, cell - row * frame.nz
 
 
 @inner
-def centre_of(frame, i, j, m):  # type: ignore[no-untyped-def]
+@no_type_check
+def centre_of(frame, i, j, m):
     """A cell's centre [m, world]."""
     return frame.x + (i + 0.5) * frame.h, frame.y + (j + 0.5) * frame.h, frame.z + (m + 0.5) * frame.h
 
 
 @inner
-def neighbour(frame, i, j, m, number):  # type: ignore[no-untyped-def]
+@no_type_check
+def neighbour(frame, i, j, m, number):
     """The cell itself (26) or its neighbour by one of ``STEPS`` (0..25), as a number in C order; -1 outside."""
     if number < 26:
         i, j, m = i + STEPS[number, 0], j + STEPS[number, 1], m + STEPS[number, 2]
@@ -45,17 +51,21 @@ def neighbour(frame, i, j, m, number):  # type: ignore[no-untyped-def]
 
 
 @inner
-def at(points, k):  # type: ignore[no-untyped-def]
+@no_type_check
+def at(points, k):
     """Point k [m]."""
     return points[k, 0], points[k, 1], points[k, 2]
 
 
 @inner
-def put(points, k, position, p):  # type: ignore[no-untyped-def]
+@no_type_check
+def put(points, k, position, p):
+    """Write point p [m] as number ``position`` of row k."""
     points[k, position, 0], points[k, position, 1], points[k, position, 2] = p
 
 
 @inner
-def distance(p, q):  # type: ignore[no-untyped-def]
+@no_type_check
+def distance(p, q):
     """Distance between two points [m]."""
     return math.sqrt((p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2)

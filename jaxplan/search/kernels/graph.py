@@ -25,8 +25,10 @@ IF_SEEN = -3
 
 
 class Frame(NamedTuple):
-    """Where a lattice's cells lie: counts per axis, lower corner [m, world] and side of a cell [m]. Scalars only, which
-    compiled code passes around at no cost."""
+    """Where a lattice's cells lie: counts per axis, lower corner [m, world] and side of a cell [m].
+
+    Scalars only, which compiled code passes around at no cost.
+    """
 
     nx: int
     ny: int
@@ -129,19 +131,25 @@ def _has_better_way(d: Int[np.ndarray, "3"], e: Int[np.ndarray, "3"]) -> bool:
 class Goals(NamedTuple):
     """Goals in lists by cell. ``head`` and ``following`` hold goal index + 1, so that 0 ends a list."""
 
-    points: np.ndarray
-    head: np.ndarray
-    following: np.ndarray
-    nearby: np.ndarray
+    points: Float[np.ndarray, "k 3"]
+    """[m, world]"""
+    head: Int[np.ndarray, "n"]
+    """By cell, the first goal in its list."""
+    following: Int[np.ndarray, "k"]
+    """The next goal in the same list."""
+    nearby: Bool[np.ndarray, "n"]
     """Cells with a goal among the 27 around them."""
-    cost: np.ndarray
-    entry: np.ndarray
+    cost: Float[np.ndarray, "k"]
+    """Length of the best path so far [m]."""
+    entry: Int[np.ndarray, "k"]
     """The last cell before the goal, or ``NO_ENTRY`` or ``DIRECT``."""
-    alias: np.ndarray
+    alias: Int[np.ndarray, "k"]
     """The first goal at the same point; itself if there is none."""
-    heuristic: np.ndarray
-    wanted: np.ndarray
-    listed: np.ndarray
+    heuristic: Float[np.ndarray, "k"]
+    """h at the goal [m]."""
+    wanted: Bool[np.ndarray, "k"]
+    """Goals whose best path may still be found."""
+    listed: Bool[np.ndarray, "k"]
     """The goals that were wanted at first; those in the lists, and their aliases."""
 
 

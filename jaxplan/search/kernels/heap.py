@@ -4,18 +4,20 @@ Plain functions on NumPy arrays, written for numba: ``jaxplan.search.kernels.ast
 least key.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, no_type_check
 
 import numpy as np
+from jaxtyping import Float, Int
 
 
 class Heap(NamedTuple):
     """A binary heap of cells with decreasing keys; ``place`` is 0 for unseen cells and -1 for settled ones."""
 
-    keys: np.ndarray
-    cells: np.ndarray
-    place: np.ndarray
-    size: np.ndarray
+    keys: Float[np.ndarray, "n+1"]
+    cells: Int[np.ndarray, "n+1"]
+    place: Int[np.ndarray, "n"]
+    """By cell, its position in the heap."""
+    size: Int[np.ndarray, "1"]
 
 
 def make_heap(cells: int) -> Heap:
@@ -28,7 +30,8 @@ def make_heap(cells: int) -> Heap:
     )
 
 
-def push(heap, cell, key):  # type: ignore[no-untyped-def]
+@no_type_check
+def push(heap, cell, key):
     """Insert a cell, or lower the key of one that is in the heap."""
     position = heap.place[cell]
     if position == 0:
@@ -42,7 +45,8 @@ def push(heap, cell, key):  # type: ignore[no-untyped-def]
     heap.keys[position], heap.cells[position], heap.place[cell] = key, cell, position
 
 
-def pop(heap):  # type: ignore[no-untyped-def]
+@no_type_check
+def pop(heap):
     """Remove the cell of least key and mark it settled."""
     first, size = heap.cells[1], heap.size[0] - 1
     heap.place[first] = -1

@@ -4,6 +4,8 @@ A segment is followed from cell to cell through the face that it leaves by, so n
 however small the corner that it cuts.
 """
 
+from typing import no_type_check
+
 import numpy as np
 
 from jaxplan.search.kernels.cells import index
@@ -11,7 +13,8 @@ from jaxplan.search.kernels.compiled import inner
 
 
 @inner
-def sees(blocked, frame, a, b):  # type: ignore[no-untyped-def]
+@no_type_check
+def sees(blocked, frame, a, b):
     """Whether the segment a-b [m] crosses no blocked cell, b's own cell left out."""
     i, di, ni, ti, hi = _axis_walk(frame.x, frame.h, frame.nx, a[0], b[0])
     j, dj, nj, tj, hj = _axis_walk(frame.y, frame.h, frame.ny, a[1], b[1])
@@ -32,9 +35,13 @@ def sees(blocked, frame, a, b):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _axis_walk(origin, h, count, a, b):  # type: ignore[no-untyped-def]
-    """Along one axis of a segment: first cell, direction, number of faces to cross, and the fractions of the segment at
-    the first face and between faces."""
+@no_type_check
+def _axis_walk(origin, h, count, a, b):
+    """One axis of a segment: where a walk along it begins and what its steps are.
+
+    Returns first cell, direction, number of faces to cross, and the fractions of the segment at the first face and
+    between faces.
+    """
     u, v = (a - origin) / h, (b - origin) / h
     cell = index(a, origin, h, count)
     faces = abs(index(b, origin, h, count) - cell)

@@ -1,8 +1,7 @@
 """What a search found: the cells of every path, and how they are written as points (host, compiled)."""
 
 import functools
-from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, no_type_check, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -42,12 +41,31 @@ def write_paths(
     _compiled_write()(tuple(graph.frame), found.cells, found.first, found.entry, head, goals, points, count)
 
 
+@runtime_checkable
+class _Write(Protocol):
+    """The compiled ``write_paths``; the frame comes as a plain tuple."""
+
+    def __call__(
+        self,
+        frame: tuple,
+        cells: Int[np.ndarray, "c"],
+        first: Int[np.ndarray, "ends"],
+        entries: Int[np.ndarray, "k"],
+        head: Float[np.ndarray, "h 3"],
+        goals: Float[np.ndarray, "k 3"],
+        points: Float[np.ndarray, "k capacity 3"],
+        count: Int[np.ndarray, "k"],
+    ) -> None:
+        """Write ``points`` [m, world] and ``count``."""
+
+
 @functools.cache
-def _compiled_write() -> Callable[..., None]:
+def _compiled_write() -> _Write:
     version = source_digest()
 
     @entry_point
-    def entry(frame, cells, first, entries, head, goals, points, count):  # type: ignore[no-untyped-def]
+    @no_type_check
+    def entry(frame, cells, first, entries, head, goals, points, count):
         _ = version
         _write_paths(Frame(*frame), cells, first, entries, head, goals, points, count)
 
@@ -55,7 +73,8 @@ def _compiled_write() -> Callable[..., None]:
 
 
 @inner
-def collect_paths(frame, goals, arrival, first, cells):  # type: ignore[no-untyped-def]
+@no_type_check
+def collect_paths(frame, goals, arrival, first, cells):
     """Where each path begins, into ``first``, which is 0; or, if there are ``cells`` to write to, the cells of all."""
     writing = len(cells) > 0
     for k in range(len(goals.points)):
@@ -71,7 +90,8 @@ def collect_paths(frame, goals, arrival, first, cells):  # type: ignore[no-untyp
 
 
 @inner
-def _write_paths(frame, cells, first, entries, head, goals, points, count):  # type: ignore[no-untyped-def]
+@no_type_check
+def _write_paths(frame, cells, first, entries, head, goals, points, count):
     capacity = points.shape[1]
     for k in range(len(goals)):
         if entries[k] == NO_ENTRY:

@@ -6,7 +6,7 @@ the last kept point would cross an occupied cell of the *finest* lattice. The re
 """
 
 import functools
-from collections.abc import Callable
+from typing import Protocol, no_type_check, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -16,23 +16,6 @@ from jaxplan.search.kernels.compiled import entry_point, inner, source_digest
 from jaxplan.search.kernels.graph import IF_SEEN, NO_ENTRY, Frame, Graph
 from jaxplan.search.kernels.line_of_sight import sees
 from jaxplan.search.kernels.paths import Found
-from jaxplan.search.lattice import Lattices, Paths, grid_frame
-
-
-def shorten(paths: Paths, lattices: Lattices) -> Paths:
-    """The same paths with as few corners as sight allows; ends stay exact, ``length`` is that of the lattice path."""
-    grid = lattices.levels[0].grid
-    points, count = paths.points.copy(), paths.count.copy()
-    _compiled_shorten()(points, count, grid.occupied, tuple(grid_frame(grid)))
-    return Paths(
-        points=points,
-        count=count,
-        reasons=paths.reasons,
-        notes=paths.notes,
-        resolution=paths.resolution,
-        length=paths.length,
-        expanded=paths.expanded,
-    )
 
 
 def write_straight(
@@ -72,30 +55,35 @@ def write_taut(
     _compiled_taut()(*frames, *parts, occupied, head, path, goals, points, count, length)
 
 
+@runtime_checkable
+class _WriteTaut(Protocol):
+    """The compiled writer of taut paths; frames come as plain tuples."""
+
+    def __call__(
+        self,
+        frame: tuple,
+        fine: tuple,
+        cells: Int[np.ndarray, "c"],
+        first: Int[np.ndarray, "ends"],
+        entries: Int[np.ndarray, "k"],
+        occupied: Bool[np.ndarray, "fx fy fz"],
+        head: Float[np.ndarray, "h 3"],
+        path: Float[np.ndarray, "longest 3"],
+        goals: Float[np.ndarray, "k 3"],
+        points: Float[np.ndarray, "k capacity 3"],
+        count: Int[np.ndarray, "k"],
+        length: Float[np.ndarray, "k"],
+    ) -> None:
+        """Write ``points``, ``count`` and ``length`` [m, world]; ``path`` is room for the longest path."""
+
+
 @functools.cache
-def _compiled_shorten() -> Callable[..., None]:
+def _compiled_taut() -> _WriteTaut:
     version = source_digest()
 
     @entry_point
-    def entry(points, count, occupied, frame):  # type: ignore[no-untyped-def]
-        _ = version
-        frame = Frame(*frame)
-        for k in range(points.shape[0]):
-            if count[k] > 1:
-                kept = _pull_taut(points[k], count[k], occupied, frame)
-                for i in range(kept, points.shape[1]):
-                    _copy(points[k], i, points[k], kept - 1)
-                count[k] = kept
-
-    return entry  # type: ignore[no-any-return]
-
-
-@functools.cache
-def _compiled_taut() -> Callable[..., None]:
-    version = source_digest()
-
-    @entry_point
-    def entry(frame, fine, cells, first, entries, occupied, head, path, goals, points, count, length):  # type: ignore[no-untyped-def]
+    @no_type_check
+    def entry(frame, fine, cells, first, entries, occupied, head, path, goals, points, count, length):
         _ = version
         frame, fine = Frame(*frame), Frame(*fine)
         end = len(head) - 1
@@ -118,13 +106,15 @@ def _compiled_taut() -> Callable[..., None]:
 
 
 @inner
-def _copy(to, i, source, j):  # type: ignore[no-untyped-def]
+@no_type_check
+def _copy(to, i, source, j):
     """Copy one point; numba takes seconds to compile the assignment of a slice."""
     to[i, 0], to[i, 1], to[i, 2] = source[j, 0], source[j, 1], source[j, 2]
 
 
 @inner
-def _unroll(frame, cells, begin, end, head, path):  # type: ignore[no-untyped-def]
+@no_type_check
+def _unroll(frame, cells, begin, end, head, path):
     """Write the head and the centres of the cells from ``begin`` to ``end``; returns their number."""
     for i in range(len(head)):
         _copy(path, i, head, i)
@@ -136,7 +126,8 @@ def _unroll(frame, cells, begin, end, head, path):  # type: ignore[no-untyped-de
 
 
 @inner
-def _pull_taut(path, count, occupied, frame):  # type: ignore[no-untyped-def]
+@no_type_check
+def _pull_taut(path, count, occupied, frame):
     """Rewrite the first ``count`` points of one path in place; returns how many are left."""
     last = count - 1
     kept, here = count - last, last - last  # 1 and 0: numba compiles calls with constants a second time
@@ -148,7 +139,8 @@ def _pull_taut(path, count, occupied, frame):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _farthest_seen(path, here, last, occupied, frame):  # type: ignore[no-untyped-def]
+@no_type_check
+def _farthest_seen(path, here, last, occupied, frame):
     """Index of a late point in sight of point ``here``, at least the next one: doubling steps, then bisection."""
     seen, step = here + 1, 2
     hidden = last + 1

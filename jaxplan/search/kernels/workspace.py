@@ -4,9 +4,10 @@ Fresh zeroed memory for a million cells costs more than a search that settles th
 """
 
 import threading
-from typing import NamedTuple
+from typing import NamedTuple, no_type_check
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from jaxplan.search.kernels.cells import at, flat, index, neighbour
 from jaxplan.search.kernels.compiled import inner
@@ -17,11 +18,13 @@ class Workspace(NamedTuple):
     """At least one entry per cell. Between searches ``place``, ``head`` and ``nearby`` are 0, the rest is arbitrary."""
 
     heap: Heap
-    cost: np.ndarray
-    arrival: np.ndarray
+    cost: Float[np.ndarray, "n"]
+    """From the start [m]."""
+    arrival: Int[np.ndarray, "n"]
     """The step by which a cell was reached, ``NO_STEP`` from the start."""
-    head: np.ndarray
-    nearby: np.ndarray
+    head: Int[np.ndarray, "n"]
+    nearby: Bool[np.ndarray, "n"]
+    """As in ``graph.Goals``."""
 
 
 _of_thread = threading.local()
@@ -43,7 +46,8 @@ def workspace(cells: int) -> Workspace:
 
 
 @inner
-def clean_up(frame, heap, goals, expanded):  # type: ignore[no-untyped-def]
+@no_type_check
+def clean_up(frame, heap, goals, expanded):
     """Leave the arrays over all cells as a search wants to find them."""
     for position in range(1, heap.size[0] + 1):
         heap.place[heap.cells[position]] = 0
@@ -61,7 +65,9 @@ def clean_up(frame, heap, goals, expanded):  # type: ignore[no-untyped-def]
 
 
 @inner
-def cell_of(frame, p):  # type: ignore[no-untyped-def]
+@no_type_check
+def cell_of(frame, p):
+    """Indices of the cell that holds a point [m]; of the nearest one for a point outside."""
     return (
         index(p[0], frame.x, frame.h, frame.nx),
         index(p[1], frame.y, frame.h, frame.ny),

@@ -1,14 +1,37 @@
-"""Reading MJCF text with suspicion, before MuJoCo sees it.
+"""Scenes in MuJoCo's MJCF: one source of a world for simulation, occupancy, clearance and pictures.
+
+Besides geoms a file holds a box site "room" (the room's faces), optionally a site "start" and a custom numeric
+"keep_in" [m]. Geoms with contype = conaffinity = 0 collide with nothing: they are decoration, and no obstacles.
 
 MJCF is a programming language of sorts: it includes files, repeats elements, allocates what it is told to and loads
-plugins. Only elements that describe a static scene are let through, in a bounded number and depth.
+plugins. So the text is looked through before MuJoCo sees it: only elements that describe a static scene are let
+through, in a bounded number and depth.
 """
 
 from pathlib import Path
 from typing import NamedTuple, NoReturn
 from xml.parsers import expat
 
-from jaxplan.errors import FileError
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxplan.errors import FileError, InputError
+from jaxplan.mjcf_probe import probe_mjcf
+from jaxplan.world.formats.streams import ByteStream, file_size
+from jaxplan.world.mesh import check_mesh, mesh_with_distances
+from jaxplan.world.obstacles import (
+    DEFAULT_KEEP_IN,
+    Boxes,
+    Capsules,
+    Cylinders,
+    Mesh,
+    Obstacles,
+    Planes,
+    Spheres,
+    World,
+    make_obstacles,
+)
 
 ELEMENTS = frozenset(
     """
@@ -40,14 +63,28 @@ _REFUSED_ATTRIBUTES = frozenset(
 )
 MESH_ENDINGS = (".stl", ".obj")
 MAX_MESHES = 64
+_MAX_MESH_BYTES = 16 * 2**20
+"""Of all mesh files that an MJCF file names: MuJoCo wants them in memory at once."""
+
+
+def load_mjcf(path: Path, stream: ByteStream) -> World:
+    """The world of somebody's MJCF file, which a child process with limits compiles first."""
+    scene = check_mjcf(path, stream.read())
+    probe_mjcf(path, scene.text, scene.meshes)
+    return _world(path, scene)
+
+
+def load_own_mjcf(path: Path, stream: ByteStream) -> World:
+    """The world of an MJCF file of this package, which needs no child process."""
+    return _world(path, check_mjcf(path, stream.read()))
 
 
 class Mjcf(NamedTuple):
     """A static, bounded MJCF file."""
 
     text: str
-    meshes: tuple[str, ...]
-    """The mesh files that it names, relative to its folder and inside it."""
+    meshes: dict[str, Path]
+    """The mesh files by the names that it gives them; all lie in its folder or below."""
 
 
 def check_mjcf(path: Path, data: bytes) -> Mjcf:
@@ -61,7 +98,10 @@ def check_mjcf(path: Path, data: bytes) -> Mjcf:
         scan.run(data)
     except expat.ExpatError as error:
         raise FileError(f"{path}: have no well-formed XML ({error}), want MJCF; correct it") from error
-    return Mjcf(text, tuple(scan.meshes))
+    meshes = {name: path.parent / name for name in scan.meshes}
+    if sum(file_size(file) for file in meshes.values()) > _MAX_MESH_BYTES:
+        raise FileError(f"{path}: its meshes have more than {_MAX_MESH_BYTES} bytes, want at most that; simplify them")
+    return Mjcf(text, meshes)
 
 
 class _Scan:
@@ -74,6 +114,7 @@ class _Scan:
         self.meshes: list[str] = []
 
     def run(self, data: bytes) -> None:
+        """Go through the text; ``FileError`` at the first thing that is not let through."""
         parser = expat.ParserCreate()
         parser.StartElementHandler = self._start
         parser.EndElementHandler = self._end
@@ -127,3 +168,99 @@ class _Scan:
 
     def _refuse(self, have: str, want: str) -> NoReturn:
         raise FileError(f"{self.path}: {have}, want {want}; remove it")
+
+
+def _world(path: Path, scene: Mjcf) -> World:
+    """What MuJoCo makes of a scene, as a world."""
+    assets = {name: file.read_bytes() for name, file in scene.meshes.items()}
+    try:
+        model = mujoco.MjModel.from_xml_string(scene.text, assets)
+    except ValueError as error:
+        raise FileError(f"{path}: MuJoCo refuses it ({' '.join(str(error).split())[:200]}); correct it") from error
+    state = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, state)
+    if not (
+        np.isfinite(state.geom_xpos).all() and np.isfinite(model.geom_size).all() and np.isfinite(state.site_xpos).all()
+    ):
+        raise FileError(f"{path}: a position or size is NaN or infinite, want finite metres; correct it")
+    try:
+        return World(
+            name=path.stem,
+            bounds=_room(path, model, state),
+            obstacles=_obstacles(path, model, state),
+            keep_in=np.float64(_keep_in(model)),
+            start=_start(model, state),
+            provenance=f"{path} (MJCF)",
+        )
+    except InputError as error:
+        raise FileError(f"{path}: {error}; correct the file") from error
+
+
+def _room(path: Path, model: mujoco.MjModel, state: mujoco.MjData) -> Float[np.ndarray, "2 3"]:
+    """The room's lower and upper corner [m], from the site "room"."""
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "room")
+    aligned = site >= 0 and np.allclose(state.site_xmat[site], np.eye(3).reshape(-1), atol=1e-9)
+    if not aligned or model.site_type[site] != mujoco.mjtGeom.mjGEOM_BOX:
+        raise FileError(
+            f"{path}: the room's faces are missing, want an axis-aligned box site: "
+            '<site name="room" type="box" pos="X Y Z" size="HALF_X HALF_Y HALF_Z"/> in <worldbody>; add it'
+        )
+    return np.stack([state.site_xpos[site] - model.site_size[site], state.site_xpos[site] + model.site_size[site]])
+
+
+def _start(model: mujoco.MjModel, state: mujoco.MjData) -> Float[np.ndarray, "3"] | None:
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "start")
+    return None if site < 0 else np.array(state.site_xpos[site])
+
+
+def _keep_in(model: mujoco.MjModel) -> float:
+    numeric = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, "keep_in")
+    return DEFAULT_KEEP_IN if numeric < 0 else float(model.numeric_data[model.numeric_adr[numeric]])
+
+
+def _obstacles(path: Path, model: mujoco.MjModel, state: mujoco.MjData) -> Obstacles:
+    """All geoms that collide, as records."""
+    kinds = mujoco.mjtGeom
+    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    known = [kinds.mjGEOM_BOX, kinds.mjGEOM_CYLINDER, kinds.mjGEOM_SPHERE, kinds.mjGEOM_CAPSULE, kinds.mjGEOM_PLANE]
+    unknown = solid & ~np.isin(model.geom_type, [int(kind) for kind in (*known, kinds.mjGEOM_MESH)])
+    if unknown.any():
+        index = int(np.flatnonzero(unknown)[0])
+        kind = kinds(int(model.geom_type[index])).name.removeprefix("mjGEOM_").lower()
+        raise FileError(
+            f"{path}: geom {model.geom(index).name or index!r} is of type {kind}, "
+            "want box, cylinder, sphere, capsule, plane or mesh; replace it"
+        )
+    rotation = state.geom_xmat.reshape(-1, 3, 3)
+    chosen = [np.flatnonzero(solid & (model.geom_type == int(kind))) for kind in known]
+    position, size, axis = state.geom_xpos, model.geom_size, rotation[:, :, 2]
+    box, cylinder, sphere, capsule, plane = chosen
+    return make_obstacles(
+        boxes=Boxes(center=position[box], half=size[box], rotation=rotation[box]),
+        cylinders=Cylinders(
+            center=position[cylinder], axis=axis[cylinder], radius=size[cylinder, 0], half_length=size[cylinder, 1]
+        ),
+        spheres=Spheres(center=position[sphere], radius=size[sphere, 0]),
+        capsules=Capsules(
+            center=position[capsule], axis=axis[capsule], radius=size[capsule, 0], half_length=size[capsule, 1]
+        ),
+        planes=Planes(normal=axis[plane], offset=np.sum(axis[plane] * position[plane], axis=1)),
+        mesh=_meshes(path, model, state, np.flatnonzero(solid & (model.geom_type == int(kinds.mjGEOM_MESH)))),
+    )
+
+
+def _meshes(path: Path, model: mujoco.MjModel, state: mujoco.MjData, geoms: Int[np.ndarray, "g"]) -> Mesh | None:
+    """The surfaces of all mesh geoms as one; MuJoCo itself collides with their convex hulls."""
+    vertices, faces, count = [], [], 0
+    for geom in geoms:
+        mesh = model.mesh(int(model.geom_dataid[geom]))
+        first, number = int(mesh.vertadr[0]), int(mesh.vertnum[0])
+        own = model.mesh_vert[first : first + number].astype(np.float64)
+        vertices.append(own @ state.geom_xmat[geom].reshape(3, 3).T + state.geom_xpos[geom])
+        start = int(mesh.faceadr[0])
+        faces.append(model.mesh_face[start : start + int(mesh.facenum[0])].astype(np.int64) + count)
+        count += number
+    if not vertices:
+        return None
+    check_mesh(path, np.concatenate(vertices), np.concatenate(faces))
+    return mesh_with_distances(np.concatenate(vertices), np.concatenate(faces))

@@ -9,12 +9,13 @@ occupied: a vehicle must not fly where a wall may be.
 import re
 from array import array
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from jaxplan.errors import FileError
+from jaxplan.world.formats.streams import ByteStream
 from jaxplan.world.obstacles import World
 from jaxplan.world.voxels import check_cells, voxel_world
 
@@ -31,10 +32,10 @@ class _Leaves(NamedTuple):
 
     corner: Int[np.ndarray, "n 3"]
     side: Int[np.ndarray, "n"]
-    occupied: np.ndarray
+    occupied: Bool[np.ndarray, "n"]
 
 
-def load_octomap(path: Path, stream: IO[bytes]) -> World:
+def load_octomap(path: Path, stream: ByteStream) -> World:
     """The world of an OctoMap binary tree; unknown cells are occupied."""
     resolution, body = _header(path, stream.read())
     leaves = _read_tree(path, body)
@@ -51,7 +52,7 @@ def load_octomap(path: Path, stream: IO[bytes]) -> World:
     return voxel_world(path, kind, occupied, origin, resolution)
 
 
-def _clear(occupied: np.ndarray, corner: Int[np.ndarray, "n 3"], side: int) -> None:
+def _clear(occupied: Bool[np.ndarray, "nx ny nz"], corner: Int[np.ndarray, "n 3"], side: int) -> None:
     """Free the cubes of ``side`` cells; the few large ones one by one."""
     if side > 4:
         for x, y, z in corner:

@@ -5,13 +5,13 @@ import struct
 from array import array
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from jaxplan.errors import FileError
-from jaxplan.world.formats.streams import lines, remaining, table_blocks
+from jaxplan.world.formats.streams import ByteStream, lines, remaining, table_blocks
 
 _TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
 _TYPES |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"}
@@ -42,7 +42,7 @@ class Ply(NamedTuple):
     """A PLY file whose header was read."""
 
     path: Path
-    stream: IO[bytes]
+    stream: ByteStream
     order: str
     """"<" or ">", the order of bytes; "" for text."""
     elements: list[_Element]
@@ -54,7 +54,7 @@ class Ply(NamedTuple):
         return sum(element.rows for element in self.elements if element.name == name)
 
 
-def open_ply(path: Path, stream: IO[bytes]) -> Ply:
+def open_ply(path: Path, stream: ByteStream) -> Ply:
     """The header of a PLY file: no more than its size is known of the body."""
     head = stream.read(_MAX_HEADER)
     end = head.find(b"end_header")
@@ -161,10 +161,10 @@ def _triangles(ply: Ply, element: _Element, words: Iterator[bytes], most: int) -
     yield np.array(triangles, dtype=np.int64).reshape(-1, 3)
 
 
-def _numbers(ply: Ply, words: Iterator[bytes], code: str, count: int) -> tuple[float, ...]:
+def _numbers(ply: Ply, words: Iterator[bytes], code: str, count: int) -> tuple[int | float, ...]:
     """The next numbers of the body."""
     if ply.order == "":
-        found = tuple(float(word) for word in itertools.islice(words, count))
+        found: tuple[int | float, ...] = tuple(float(word) for word in itertools.islice(words, count))
     else:
         data = ply.stream.read(count * int(code[1]))
         found = struct.unpack(f"{ply.order}{count}{_CODES[code]}", data) if len(data) == count * int(code[1]) else ()

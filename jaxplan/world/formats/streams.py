@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -17,7 +17,32 @@ _BLOCK = 2**20
 """Bytes per block of a table; arbitrary."""
 
 
-def remaining(stream: IO[bytes]) -> int:
+@runtime_checkable
+class ByteStream(Protocol):
+    """What a reader wants of an open file, or of an entry of an archive."""
+
+    def read(self, size: int = -1, /) -> bytes:
+        """The next ``size`` bytes; fewer at the end, all that are left for -1."""
+
+    def readline(self, size: int = -1, /) -> bytes:
+        """The bytes up to the next line end, at most ``size``."""
+
+    def seek(self, offset: int, whence: int = 0, /) -> int:
+        """Go to a place in bytes, which is returned."""
+
+    def tell(self) -> int:
+        """The place in bytes."""
+
+
+def file_size(path: Path) -> int:
+    """Bytes of a regular file; ``FileError`` for anything else."""
+    if not path.is_file():
+        have = "no such file" if not path.exists() else "something that is not a file"
+        raise FileError(f"{path}: {have}, want a readable map; check the path")
+    return path.stat().st_size
+
+
+def remaining(stream: ByteStream) -> int:
     """Bytes from here to the end of the file."""
     here = stream.tell()
     end = stream.seek(0, os.SEEK_END)
@@ -25,7 +50,7 @@ def remaining(stream: IO[bytes]) -> int:
     return end - here
 
 
-def lines(path: Path, stream: IO[bytes]) -> Iterator[bytes]:
+def lines(path: Path, stream: ByteStream) -> Iterator[bytes]:
     """The lines from here on; a file without line ends is refused instead of read as one line."""
     for _ in range(MOST_LINES):
         line = stream.readline(LONGEST_LINE + 1)
@@ -37,7 +62,7 @@ def lines(path: Path, stream: IO[bytes]) -> Iterator[bytes]:
     raise FileError(f"{path}: have more than {MOST_LINES} lines, want at most that; simplify it")
 
 
-def table_blocks(path: Path, stream: IO[bytes], dtype: np.dtype, rows: int, name: str) -> Iterator[np.ndarray]:
+def table_blocks(path: Path, stream: ByteStream, dtype: np.dtype, rows: int, name: str) -> Iterator[np.ndarray]:
     """The next ``rows`` entries of type ``dtype``, about a megabyte at a time."""
     at_once = max(1, _BLOCK // dtype.itemsize)
     for first in range(0, rows, at_once):

@@ -6,15 +6,14 @@ A PLY file without faces is a point cloud.
 import itertools
 from array import array
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from jaxplan.errors import FileError
 from jaxplan.world.formats.ply import open_ply, ply_points, ply_surface
-from jaxplan.world.formats.points import check_count, point_world
-from jaxplan.world.formats.streams import lines, remaining
+from jaxplan.world.formats.point_clouds import check_count, point_world
+from jaxplan.world.formats.streams import ByteStream, lines, remaining
 from jaxplan.world.mesh import MAX_FACES, mesh_world
 from jaxplan.world.obstacles import World
 
@@ -22,17 +21,17 @@ MAX_VERTICES = 3 * MAX_FACES
 _FACET = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
-def load_stl(path: Path, stream: IO[bytes]) -> World:
+def load_stl(path: Path, stream: ByteStream) -> World:
     """The world of an STL file."""
     return mesh_world(path, "STL", *read_stl(path, stream))
 
 
-def load_obj(path: Path, stream: IO[bytes]) -> World:
+def load_obj(path: Path, stream: ByteStream) -> World:
     """The world of an OBJ file."""
     return mesh_world(path, "OBJ", *read_obj(path, stream))
 
 
-def load_ply(path: Path, stream: IO[bytes]) -> World:
+def load_ply(path: Path, stream: ByteStream) -> World:
     """The world of a PLY file: a surface, or points if it has no faces."""
     ply = open_ply(path, stream)
     if not ply.rows("face"):
@@ -43,7 +42,7 @@ def load_ply(path: Path, stream: IO[bytes]) -> World:
     return mesh_world(path, "PLY", *checked_surface(path, *ply_surface(ply, MAX_FACES)))
 
 
-def read_stl(path: Path, stream: IO[bytes]) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
+def read_stl(path: Path, stream: ByteStream) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
     """Vertices [m] and faces, each with vertices of its own; ``FileError`` for whatever is not a usable STL file."""
     size, head = remaining(stream), stream.read(84)
     count = int.from_bytes(head[80:], "little")
@@ -59,7 +58,7 @@ def read_stl(path: Path, stream: IO[bytes]) -> tuple[Float[np.ndarray, "v 3"], I
     return checked_surface(path, corners, np.arange(len(corners)).reshape(-1, 3))
 
 
-def _ascii_corners(path: Path, stream: IO[bytes]) -> Float[np.ndarray, "v 3"]:
+def _ascii_corners(path: Path, stream: ByteStream) -> Float[np.ndarray, "v 3"]:
     """The corners of the facets of an ASCII STL file, three for each [m]."""
     corners, ended, number = array("d"), False, 0
     for number, line in enumerate(lines(path, stream), 1):
@@ -78,7 +77,7 @@ def _ascii_corners(path: Path, stream: IO[bytes]) -> Float[np.ndarray, "v 3"]:
     return np.array(corners).reshape(-1, 3)
 
 
-def read_obj(path: Path, stream: IO[bytes]) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
+def read_obj(path: Path, stream: ByteStream) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
     """Vertices [m] and faces of the ``v`` and ``f`` lines; polygons become fans, everything else is ignored."""
     vertices, faces = array("d"), array("q")
     for number, line in enumerate(lines(path, stream), 1):

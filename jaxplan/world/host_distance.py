@@ -1,17 +1,16 @@
-"""Distance to the nearest obstacle or face of the room, for code on the host: any number of points, one program."""
+"""``free_distance`` for code on the host: any number of points, one compiled program."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from jaxplan.precision import in_float64
-from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.world.clearance import free_distance
 from jaxplan.world.obstacles import World
 
 
 @in_float64
-def free_distance(
+def host_free_distance(
     world: World, points: Float[np.ndarray, "*batch 3"], width: int = 16384
 ) -> Float[np.ndarray, "*batch"]:
     """Distance [m] from each point [m, world] to the nearest obstacle or face of the room; NaN for NaN (host).
@@ -25,10 +24,8 @@ def free_distance(
     calls = max(1, -(-len(flat) // width))
     padded = np.zeros((calls * width, 3))
     padded[: len(flat)] = flat
-    parts = [np.asarray(_free_distance(world, part)) for part in padded.reshape(calls, width, 3)]
+    parts = [np.asarray(_compiled(world, part)) for part in padded.reshape(calls, width, 3)]
     return np.concatenate(parts)[: len(flat)].reshape(points.shape[:-1])
 
 
-@jax.jit
-def _free_distance(world: World, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
-    return jnp.minimum(clearance(world, points), wall_clearance(world, points))
+_compiled = jax.jit(free_distance)

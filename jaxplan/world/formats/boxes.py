@@ -7,12 +7,13 @@ colour of a block, are ignored.
 import json
 import math
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxplan.errors import FileError
+from jaxplan.world.formats.streams import ByteStream
 from jaxplan.world.obstacles import DEFAULT_KEEP_IN, World, aligned_boxes, make_obstacles
 
 MAX_BLOCKS = 10_000
@@ -21,7 +22,7 @@ MAX_BLOCKS = 10_000
 _SCHEMA = '{"bounds": {"extents": [x0, x1, y0, y1, z0, z1]}, "blocks": [{"extents": [...]}, ...]}'
 
 
-def load_box_json(path: Path, stream: IO[bytes]) -> World:
+def load_boxes(path: Path, stream: ByteStream) -> World:
     """The world of a rotorpy JSON file."""
     tree = _parse(path, stream.read())
     if not isinstance(tree, dict) or "bounds" not in tree or not isinstance(tree.get("blocks", []), list):

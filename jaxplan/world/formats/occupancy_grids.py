@@ -5,13 +5,15 @@ Any value of ``occupancy`` but 0 and False means occupied, NaN too.
 
 import os
 import zipfile
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import IO
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxplan.errors import FileError
-from jaxplan.world.formats.npy import array_blocks, array_header
+from jaxplan.world.formats.numpy_arrays import array_blocks, array_header
+from jaxplan.world.formats.streams import ByteStream
 from jaxplan.world.obstacles import World
 from jaxplan.world.voxels import check_cells, voxel_world
 
@@ -20,7 +22,7 @@ _SMALL = 2**16
 """Bytes at most for origin and resolution, and for the archive's directory; arbitrary."""
 
 
-def load_npz_grid(path: Path, stream: IO[bytes]) -> World:
+def load_occupancy_grid(path: Path, stream: ByteStream) -> World:
     """The world of an ``.npz`` grid."""
     try:
         _check_directory(stream)
@@ -48,7 +50,7 @@ def load_npz_grid(path: Path, stream: IO[bytes]) -> World:
     return voxel_world(path, f"occupancy grid, cells of {resolution:g} m", occupied.reshape(shape), origin, resolution)
 
 
-def _check_directory(stream: IO[bytes]) -> None:
+def _check_directory(stream: ByteStream) -> None:
     """Refuse what does not end in the short directory of an archive of NumPy's: Python reads any directory at once."""
     end = 22
     size = stream.seek(0, os.SEEK_END)
@@ -58,7 +60,7 @@ def _check_directory(stream: IO[bytes]) -> None:
         raise zipfile.BadZipFile("no directory of a few arrays at its end")
 
 
-def _small(path: Path, archive: zipfile.ZipFile, name: str, shape: tuple[int, ...]) -> np.ndarray:
+def _small(path: Path, archive: zipfile.ZipFile, name: str, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
     """A small array of numbers."""
     with _opened(path, archive, name) as stream:
         have, dtype = array_header(path, stream, name)
@@ -70,7 +72,7 @@ def _small(path: Path, archive: zipfile.ZipFile, name: str, shape: tuple[int, ..
         return np.concatenate(blocks).reshape(shape).astype(np.float64)
 
 
-def _opened(path: Path, archive: zipfile.ZipFile, name: str):  # type: ignore[no-untyped-def]
+def _opened(path: Path, archive: zipfile.ZipFile, name: str) -> AbstractContextManager[ByteStream]:
     try:
         return archive.open(f"{name}.npy")
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError) as error:

@@ -1,22 +1,21 @@
-"""NumPy's array format, read with suspicion: the header first, no more bytes than it may ask for, no objects."""
+"""NumPy's array format, read with care: the header first, no more bytes than it may ask for, no objects."""
 
 import io
 import zipfile
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 
 from jaxplan.errors import FileError
-from jaxplan.world.formats.streams import table_blocks
+from jaxplan.world.formats.streams import ByteStream, table_blocks
 
 _LONGEST_HEADER = 10_000
 """Bytes, as in NumPy, which however reads a longer one before it refuses it."""
 
 
-def array_header(path: Path, stream: IO[bytes], name: str) -> tuple[tuple[int, ...], np.dtype]:
+def array_header(path: Path, stream: ByteStream, name: str) -> tuple[tuple[int, ...], np.dtype]:
     """Shape and type that an array's header announces; nothing is allocated. C order only."""
     try:
         version = np.lib.format.read_magic(stream)
@@ -35,7 +34,7 @@ def array_header(path: Path, stream: IO[bytes], name: str) -> tuple[tuple[int, .
     return tuple(int(n) for n in shape), dtype
 
 
-def array_blocks(path: Path, stream: IO[bytes], dtype: np.dtype, rows: int, name: str) -> Iterator[np.ndarray]:
+def array_blocks(path: Path, stream: ByteStream, dtype: np.dtype, rows: int, name: str) -> Iterator[np.ndarray]:
     """The ``rows`` entries behind a header, whose size the caller has checked, a block at a time."""
     try:
         yield from table_blocks(path, stream, dtype, rows, name)

@@ -8,14 +8,13 @@ The room is the box around the points.
 import itertools
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxplan.errors import FileError
-from jaxplan.world.formats.npy import array_blocks, array_header
-from jaxplan.world.formats.streams import lines, remaining, table_blocks
+from jaxplan.world.formats.numpy_arrays import array_blocks, array_header
+from jaxplan.world.formats.streams import ByteStream, lines, remaining, table_blocks
 from jaxplan.world.obstacles import World
 from jaxplan.world.voxels import MAX_CELLS, SPACING, check_cells, voxel_world
 
@@ -34,7 +33,7 @@ COARSEST = 0.4
 """Largest cell [m] of a cloud; arbitrary, a little less than the padding."""
 
 
-def load_npy(path: Path, stream: IO[bytes]) -> World:
+def load_npy(path: Path, stream: ByteStream) -> World:
     """The world of an ``.npy`` file of points."""
     shape, dtype = array_header(path, stream, "the file")
     if len(shape) != 2 or not 3 <= shape[1] <= _MAX_COLUMNS or dtype.kind not in "fiu":
@@ -50,7 +49,7 @@ def load_npy(path: Path, stream: IO[bytes]) -> World:
     return point_world(path, "NumPy points", blocks)
 
 
-def load_pcd(path: Path, stream: IO[bytes]) -> World:
+def load_pcd(path: Path, stream: ByteStream) -> World:
     """The world of a PCD file."""
     header = _pcd_header(path, stream)
     count, kind = int(header["POINTS"][0]), header["DATA"][0]
@@ -74,6 +73,7 @@ def load_pcd(path: Path, stream: IO[bytes]) -> World:
 
 
 def check_count(path: Path, count: int) -> None:
+    """Refuse a cloud without points or of too many."""
     if not 0 < count <= MAX_POINTS:
         raise FileError(f"{path}: have {count:.12g} points, want 1 to {MAX_POINTS}; thin the cloud")
 
@@ -109,7 +109,7 @@ def _finite(block: np.ndarray) -> Float[np.ndarray, "n 3"]:
     return points[np.isfinite(points).all(axis=1)]
 
 
-def _pcd_header(path: Path, stream: IO[bytes]) -> dict[str, list[str]]:
+def _pcd_header(path: Path, stream: ByteStream) -> dict[str, list[str]]:
     """The header's lines by key; the points are what follows."""
     header: dict[str, list[str]] = {}
     while "DATA" not in header and stream.tell() < _MAX_HEADER and (line := stream.readline(_MAX_HEADER)):
@@ -137,7 +137,7 @@ def _pcd_columns(path: Path, header: dict[str, list[str]]) -> list[tuple[tuple[s
 
 
 def _pcd_ascii(
-    path: Path, header: dict[str, list[str]], stream: IO[bytes], count: int
+    path: Path, header: dict[str, list[str]], stream: ByteStream, count: int
 ) -> Iterator[Float[np.ndarray, "n 3"]]:
     widths = [n for _, n in _pcd_columns(path, header)]
     starts = np.cumsum([0, *widths])
@@ -156,7 +156,7 @@ def _pcd_ascii(
 
 
 def _decompressed_columns(
-    path: Path, stream: IO[bytes], dtype: np.dtype, count: int, axes: list[str]
+    path: Path, stream: ByteStream, dtype: np.dtype, count: int, axes: list[str]
 ) -> list[Float[np.ndarray, "n"]]:
     """x, y and z of a compressed file, which holds field after field."""
     wanted, sizes = count * dtype.itemsize, stream.read(8)

@@ -1,0 +1,80 @@
+"""Vehicles from TOML: one parameter a line, with unit and source. The presets beside this module are such files."""
+
+import dataclasses
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxplan.errors import FileError, InputError
+from jaxplan.vehicle.gains import IndiGains, Se3Gains
+from jaxplan.vehicle.params import SHAPES, Vehicle
+
+_PRESETS = Path(__file__).parent / "presets"
+_GAINS = {"indi": IndiGains, "se3": Se3Gains}
+"""Optional tables of a vehicle file."""
+
+
+def list_presets() -> list[str]:
+    """The names of the presets, sorted."""
+    return sorted(path.stem for path in _PRESETS.glob("*.toml"))
+
+
+def preset(name: str) -> Vehicle:
+    """One of ``list_presets``. Raises InputError for another name."""
+    if name not in list_presets():
+        raise InputError(
+            f"There is no vehicle preset {name!r}: use one of {', '.join(list_presets())}, or the path of a .toml file."
+        )
+    return vehicle_from_toml(_PRESETS / f"{name}.toml")
+
+
+def vehicle_from_toml(path: Path) -> Vehicle:
+    """The vehicle of a TOML file, which has all keys of the presets; the tables of gains may be left out.
+
+    Raises FileError for a file that cannot be read or is no quadrotor.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileError(
+            f"Cannot read the vehicle file {path} ({error}): give the path of a readable UTF-8 .toml file."
+        ) from error
+    except tomllib.TOMLDecodeError as error:
+        raise FileError(f"The vehicle file {path} is not TOML ({error}): start from one of the presets.") from error
+    gains: dict[str, Any] = {key: _gains(path, key, table.pop(key)) for key in _GAINS if key in table}
+    wanted = {field.name for field in dataclasses.fields(Vehicle)} - {"name", *_GAINS}
+    for key in sorted(wanted ^ set(table)):
+        kind = "lacks the key" if key in wanted else "has the unknown key"
+        raise FileError(f"The vehicle file {path} {kind} {key!r}: the keys are {', '.join(sorted(wanted))}.")
+    values: dict[str, Any] = {key: _number(path, key, value) for key, value in table.items()}
+    try:
+        return Vehicle(name=path.stem, **(values | gains))
+    except InputError as error:
+        raise FileError(f"The vehicle file {path} cannot be used: {error}") from error
+
+
+def _gains(path: Path, key: str, table: Any) -> IndiGains | Se3Gains:
+    """One table of gains; keys left out keep their defaults."""
+    known = {field.name for field in dataclasses.fields(_GAINS[key])}
+    if not isinstance(table, dict) or not set(table) <= known:
+        raise FileError(f"The table [{key}] in the vehicle file {path} is {table!r}: its keys are {sorted(known)}.")
+    try:
+        return _GAINS[key](**{name: tuple(v) if isinstance(v, list) else v for name, v in table.items()})
+    except InputError as error:
+        raise FileError(f"The vehicle file {path} cannot be used: {error}") from error
+
+
+def _number(path: Path, key: str, value: Any) -> float | Float[np.ndarray, "..."]:
+    """``value`` as a float, or as a float64 array of the shape that ``key`` has."""
+    shape = SHAPES.get(key, ())
+    try:
+        array = np.array(value)
+    except ValueError:
+        array = np.array(None)
+    if array.dtype.kind not in "if" or array.shape != shape:
+        want = f"an array of shape {shape}" if shape else "a number"
+        raise FileError(f"The key {key!r} in the vehicle file {path} is {value!r}: want {want} in SI units.")
+    return array.astype(np.float64) if shape else float(array)

@@ -1,0 +1,136 @@
+"""The reports of the stored experiments on made-up rows: what stands in them, and what remains where items failed."""
+
+import re
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from experiments import closed_loop, policy_comparison, scale_factor, table1, table2
+from experiments.table1_report import PAPER, by_cell, report
+from jaxplan import cli
+from jaxplan import config as intercept
+from jaxplan.errors import IncompleteError
+from jaxplan.runner.definition import Results
+from jaxplan.runner.registry import experiment_names, load_experiment
+
+
+def test_what_the_tables_compare_is_what_an_interception_can_choose() -> None:
+    """noisy-S stands for ``noisy`` with its own deviation; beyond the command's planners there are the baselines."""
+    assert {re.sub(r"-[\d.]+$", "", name) for name in closed_loop.PREDICTORS} <= set(intercept.PREDICTORS)
+    assert (*intercept.PLANNERS, "optimiser", "pursuit", "navigation") == closed_loop.PLANNERS
+    assert closed_loop.LEARNED == ("pretrained", "mfrl")
+
+
+def test_the_report_of_made_up_rows_says_what_is_below_the_paper() -> None:
+    config = table1.Config(episodes=4, planners=("pretrained",), predictors=("ground-truth", "constant-velocity"))
+    items, rows = table1.items(config), []
+    for item in items:
+        nth = sum(row["predictor"] == item.values["predictor"] for row in rows)
+        lost = item.values["predictor"] == "ground-truth" and nth % 2 == 0
+        numbers = {"outcome": "collision" if lost else "intercepted", "time_to_intercept_s": None if lost else 2.0}
+        rows.append({**item.values, **numbers})
+    results = Results(config, items, rows, [2.0] * 8, [False] * 8, {}, {"env1/pretrained": 30.0})
+    found = report(results)
+    assert by_cell(rows)[0].paper == PAPER["pretrained"]["ground-truth"] == 0.78
+    assert "| pretrained, ground-truth | 0.500 | 0.15 to 0.85 | 0.78 | -0.28 | 2 |" in found.markdown
+    assert "0.28 below 0.78 (within the interval); 2 failures: 2 collision" in found.markdown
+    assert "| pretrained, constant-velocity | 1.000 | 0.51 to 1.00 | - | - | 0 |" in found.markdown
+    assert "Extrapolated to 3000 episodes a cell: 3.3 h with one worker, 1.7 h with 2" in found.summary
+    assert r"\begin{tabular}" in found.latex
+    cold = report(results._replace(compiled=[True] * 8))
+    assert "Every episode compiled something (46 s in all): nothing can be extrapolated." in cold.summary
+
+
+@pytest.mark.parametrize("name", experiment_names())
+def test_an_experiment_of_which_nothing_is_left_names_the_first_failure(name: str) -> None:
+    """Every stored report, where all of its items failed."""
+    found = load_experiment(name)
+    config = found.presets["smoke"]
+    items = found.items(config)
+    why = {item.name: f"NotImplementedError: number {place}" for place, item in enumerate(items)}
+    lost = Results(config, items, [None] * len(items), [0.0] * len(items), [False] * len(items), why, {})
+    with pytest.raises(IncompleteError, match="items failed.*NotImplementedError: number 0; what is finished is kept"):
+        found.report(lost)
+
+
+def test_a_run_whose_only_item_raises_ends_with_its_cause(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refused(*arguments: object, **options: object) -> None:
+        raise NotImplementedError("MJX knows no such plant")
+
+    monkeypatch.setattr(scale_factor, "at_the_boundary", refused)
+    assert cli.run(["experiment", "scale-factor", "--out", str(tmp_path), "--workers", "0"]) == 14
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "1 of 1 items failed" in said
+    assert "'flights': NotImplementedError: MJX knows no such plant" in said
+    assert (tmp_path / "shards" / "000000.json").is_file()
+
+
+def test_flights_that_were_all_lost_are_dashes(tmp_path: Path) -> None:
+    """A mean over no flights is None on the disk: a dash in the table, a gap in the picture."""
+    config, lost = scale_factor.Config(), {"position_mean_m": None, "position_std_m": None}
+    known = {"position_mean_m": 0.1, "position_std_m": 0.02}
+    shared = {"yaw_mean_deg": 2.0, "yaw_std_deg": 1.0, "feasible_share": 0.5, "lost_share": 0.5}
+    rows = [{"alpha": 0.7, **lost, **shared}, {"alpha": 1.0, **known, **shared}]
+    items = scale_factor.items(config)
+    found = scale_factor.report(Results(config, items, [{"rows": rows}], [1.0], [False], {}, {}))
+    assert "| 0.700 | - | - | 2.000 |" in found.markdown
+    found.figures["scale_factor.png"](tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").stat().st_size > 10_000
+    nobody = SimpleNamespace(
+        max_position_error=np.array([9.0, np.nan]), max_yaw_error=np.zeros(2), feasible=np.zeros(2)
+    )
+    assert scale_factor.statistics(nobody)["position_mean_m"] is None
+
+
+def test_the_report_of_made_up_times_has_the_papers_beside_them(tmp_path: Path) -> None:
+    config = table2.Config(worlds=("env1",))
+    rows = [
+        {"device": "cpu", "world": "env1", "candidates": 400, "stage": stage, "p50_ms": 2.0 + n, "p99_ms": 4.0 + n}
+        for n, stage in enumerate(table2.STAGES)
+    ]
+    items = table2.items(config)
+    found = table2.report(Results(config, items[:1], [{"rows": rows}], [1.0], [True], {}, {}))
+    assert "| cpu, env1, 400 | 2.00 / 4.00 | 3.00 / 5.00 |" in found.markdown
+    assert "| paper, Titan Xp, 400 | 18.7 | - | 9.5 | 71.2 | - | - | 99.4 |" in found.markdown
+    found.figures["stages.png"](tmp_path / "stages.png")
+    assert (tmp_path / "stages.png").stat().st_size > 10_000
+
+
+def test_the_report_of_made_up_flights_says_how_many_rollouts_the_margins_save() -> None:
+    config = policy_comparison.Config(policies=("mine",), labels=(100, 200, 400), shards=1, repeats=2)
+    flights = {"time": [2.0, 8.0], "error": [0.1, 0.3], "tracked": [True, False]}
+    flown = {"waypoints": [3, 9], "label": flights, "mine": {**flights, "time": [2.0, 6.0], "tracked": [True, True]}}
+    found = {"rollouts alone": (0.6, 0.8, 0.849), "with rotor margins": (0.75, 0.85, 0.84)}
+    items, rows = policy_comparison.items(config), []
+    for item in items:
+        if item.group == "flights":
+            rows.append(flown)
+            continue
+        name, shift = item.values["kind"], 0.02 * item.values["draw"] - 0.01
+        auc = found[name][config.labels.index(item.values["labels"])] + shift
+        rows.append({"labels": item.values["labels"], "auc": auc, "margin_alone": 0.7})
+    seen = policy_comparison.report(Results(config, items, rows, [1.0] * len(rows), [True], {}, {}))
+    (label, mine), text = seen.table, seen.markdown
+    assert (label["failed"], mine["failed"]) == (0.5, 0.0)
+    assert (mine["T_over_T_MS"], mine["mean_T_over_mean_T_MS"]) == pytest.approx((0.875, 0.8))
+    assert "| 100 | 0.600 | 0.750 | < 100 (1.00) |" in text
+    assert "| 200 | 0.800 | 0.850 | 141 (0.71) |" in text
+    assert "| 400 | 0.849 | 0.840 | 199 (0.50) |" in text
+
+
+def test_the_policies_are_compared_on_what_is_left(tmp_path: Path) -> None:
+    """One shard and the whole learning curve failed: the other shard's flights are reported."""
+    config = policy_comparison.Config(policies=("mine",), labels=(100,), shards=2, repeats=1)
+    flights = {"time": [2.0, 8.0], "error": [0.1, 0.3], "tracked": [True, False]}
+    items, rows = policy_comparison.items(config), [None, {"waypoints": [3, 9], "label": flights, "mine": flights}]
+    rows += [None] * (len(items) - 2)
+    why = {item.name: "no memory" for item, row in zip(items, rows, strict=True) if row is None}
+    found = policy_comparison.report(Results(config, items, rows, [1.0] * len(rows), [False] * len(rows), why, {}))
+    assert found.table[1]["flights"] == 2
+    assert "| 100 | - | - | - |" in found.markdown
+    found.figures["policy_comparison.png"](tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").stat().st_size > 10_000
