@@ -26,7 +26,7 @@ from jaxplan.planner import Timer
 from jaxplan.policy.checkpoint import load_parameters
 from jaxplan.precision import in_float64
 from jaxplan.prediction.candidates import candidates_from
-from jaxplan.replanner import Replanner
+from jaxplan.scenario import build_scenario
 from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes
 from jaxplan.vehicle.limits import rotor_limit_margin
@@ -38,18 +38,17 @@ PAPER = {"search + knots": 9.5, "policy": 71.2, "total": 99.4}
 """Milliseconds on the paper's GPU (Table II; the total includes 18.7 ms of prediction)."""
 
 
-def recorded_cycles(scenario, predictor, departures):
+def recorded_cycles(scenario, departures):
     """(state, candidates) of every cycle of some episodes."""
-    kept, planner = [], scenario.replanner.planner
+    kept, planner = [], scenario.planner
 
     def recording(state, candidates, timer=None):
         kept.append((state, jax.tree.map(np.asarray, candidates)))
         return planner.plan_batch(state, candidates, timer)
 
+    recorded = dataclasses.replace(scenario, planner=planner._replace(plan_batch=recording))
     for seed, departure in enumerate(departures):
-        replanner = Replanner(planner._replace(plan_batch=recording), predictor, scenario.start)
-        flight = dataclasses.replace(scenario, replanner=replanner, departure=departure, seed=seed)
-        interception.fly(flight, lambda text, share: None)
+        interception.fly(dataclasses.replace(recorded, departure=departure, seed=seed))
     return kept
 
 
@@ -68,14 +67,14 @@ def some_candidates(candidates, count, rng):
 def measure(world, policy, counts, departures, cycles, seed=0, optimiser=True):
     """Rows of one environment, with those of the optimiser on the same sequences unless it is left out."""
     config = InterceptConfig(world=world, predictor="noisy", planner=policy, speed=3.0)
-    scenario = interception.prepare(config)
-    planner = scenario.replanner.planner
+    scenario = build_scenario(config)
+    planner = scenario.planner
     began = time.perf_counter()
     planner.warmup(scenario.start)
     warmup = time.perf_counter() - began
     interception.warm_up(scenario)
-    predictor, rng = interception.predictor_for(config, scenario.world, scenario.target), np.random.default_rng(seed)
-    kept = recorded_cycles(scenario, predictor, departures)
+    rng = np.random.default_rng(seed)
+    kept = recorded_cycles(scenario, departures)
     kept = [kept[place] for place in rng.permutation(len(kept))[:cycles]]
     rows = []
     for count in counts:

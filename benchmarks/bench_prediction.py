@@ -19,13 +19,14 @@ from scipy.stats import multivariate_normal
 from jaxplan.compilation import compilations
 from jaxplan.io.targets import load_target
 from jaxplan.precision import in_float64
+from jaxplan.prediction.mixture_predictor import conditional_draw
 from jaxplan.prediction.observations import Observations
-from jaxplan.prediction.predictors import PredictionConfig, build_predictor, conditional_draw
+from jaxplan.prediction.predictors import build_predictor
+from jaxplan.prediction.protocol import PredictionConfig
 from jaxplan.prediction.target_model import shipped_model, window_coordinates
+from jaxplan.world.load import ENVIRONMENTS, load_world
 
 from . import _harness
-
-INTERVALS = {"env1": 0.1, "env2": 0.2, "env3": 0.2}
 
 
 def milliseconds(function, repeats):
@@ -66,13 +67,13 @@ def scipy_candidates(model, observed, newest, config, rng):
 @in_float64
 def measure(world, repeats):
     """One row for each way of doing it."""
-    config = PredictionConfig(dt=INTERVALS[world])
+    config = PredictionConfig.for_world(load_world(world))
     model = shipped_model(world, config.dt)
     target = load_target(None, world=world, speed=2.0)
     times = 2.0 + config.dt * np.arange(config.observations)
     seen = Observations(times=times, positions=target.position(times))
     predictor = build_predictor("gmm", config, target.position, model=model)
-    prepared = jax.device_put(model.prepare())
+    prepared = jax.device_put(model.conditional())
     observed, newest = (
         window_coordinates(seen.positions, config.observations, model.bounds is not None),
         seen.positions[-1],
@@ -108,7 +109,7 @@ def measure(world, repeats):
 def main(arguments=None):
     """Print the rows; write them where ``--json`` says."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--world", choices=sorted(INTERVALS), default="env1")
+    parser.add_argument("--world", choices=ENVIRONMENTS, default="env1")
     parser.add_argument("--repeats", type=int, default=500)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args(arguments)

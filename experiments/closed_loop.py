@@ -10,13 +10,14 @@ import numpy as np
 from jaxplan import config as intercept
 from jaxplan import interception
 from jaxplan.errors import InputError
-from jaxplan.interception import Episode, Scenario
+from jaxplan.interception import Episode
 from jaxplan.io.targets import Target, load_target, stored_targets
 from jaxplan.planner import Planner, build_planner
 from jaxplan.policy.checkpoint import WEIGHTS
-from jaxplan.prediction.predictors import StepPredictor, build_predictor
+from jaxplan.prediction.predictors import build_predictor
+from jaxplan.prediction.protocol import PredictionConfig, StepPredictor
 from jaxplan.prediction.target_model import shipped_model
-from jaxplan.replanner import Replanner
+from jaxplan.scenario import Scenario, build_scenario
 from jaxplan.tracking.rollout import Plant, build_plant
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import ENVIRONMENTS
@@ -94,21 +95,19 @@ def numbers(episode: Episode) -> dict[str, Any]:
         "max_position_error_m": float(flight.position_error.max()),
         "max_yaw_error_deg": float(np.degrees(flight.yaw_error.max())),
         "min_clearance_m": float(flight.clearance.min()),
-        "replans": len(episode.cycles),
+        "replans": episode.replans,
     }
 
 
 def _fly(scenario: Scenario, episode: EpisodeConfig, target: Target) -> Episode:
+    own = dataclasses.replace(scenario, target=target, departure=episode.departure, seed=episode.seed)
     if episode.planner in LAWS:
-        pilot: Any = Guidance(episode.planner, scenario.start)
-    else:
-        pilot = Replanner(scenario.replanner.planner, _predictor(scenario, episode, target), scenario.start)
-    own = dataclasses.replace(scenario, target=target, replanner=pilot, departure=episode.departure, seed=episode.seed)
-    return interception.fly(own, lambda text, share: None)
+        return interception.fly(own, guide=Guidance(episode.planner, scenario.start))
+    return interception.fly(dataclasses.replace(own, predictor=_predictor(scenario, episode, target)))
 
 
 def _predictor(scenario: Scenario, episode: EpisodeConfig, target: Target) -> StepPredictor:
-    config, name = interception.prediction_config(scenario.world), episode.predictor
+    config, name = PredictionConfig.for_world(scenario.world), episode.predictor
     sigma = _sigma(name)
     if sigma:
         config, name = dataclasses.replace(config, sigma=sigma), "noisy"
@@ -126,7 +125,7 @@ def _scenario(world: str, planner: str) -> Scenario:
     known = _scenarios(planner)
     if world not in known:
         other = next(iter(known.values()), None)
-        known[world] = _load(world, planner, None if other is None else other.replanner.planner)
+        known[world] = _load(world, planner, None if other is None else other.planner)
     return known[world]
 
 
@@ -139,12 +138,11 @@ def _scenarios(planner: str) -> dict[str, Scenario]:
 def _load(world: str, planner: str, elsewhere: Planner | None) -> Scenario:
     known: intercept.Planner = next((name for name in intercept.PLANNERS if name == planner), "no-policy")
     config = intercept.InterceptConfig(world=world, planner=known, predictor="noisy")
-    base = interception.prepare(config, planner=elsewhere)
+    base = build_scenario(config, planner=elsewhere)
     if planner == "optimiser" and elsewhere is None:
-        policy, settings = optimiser_policy(TIME_WEIGHT), base.replanner.planner.config
+        policy, settings = optimiser_policy(TIME_WEIGHT), base.planner.config
         own = build_planner(settings, world=base.world, vehicle=base.vehicle, policy=policy)
-        unused = interception.predictor_for(config, base.world, base.target)
-        base = dataclasses.replace(base, replanner=Replanner(own, unused, base.start))
+        base = dataclasses.replace(base, planner=own)
     return dataclasses.replace(base, plant=_plant())
 
 

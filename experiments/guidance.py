@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from jaxplan.prediction.kinematic import constant_velocity
 from jaxplan.prediction.observations import Observations
-from jaxplan.replanner import ReplannerConfig
+from jaxplan.replanner import CommittedPlan, ReplannerConfig
 from jaxplan.spline import FlatState
 
 LAWS = ("pursuit", "navigation")
@@ -43,11 +43,13 @@ class Guidance:
         self._legs = [Leg(-np.inf, at_rest, np.zeros(3))]
 
     @property
-    def plans(self) -> list[Leg]:
-        return self._legs
+    def plans(self) -> tuple[CommittedPlan, ...]:
+        """None: nothing is planned."""
+        return ()
 
     @property
     def ever_planned(self) -> bool:
+        """Whether anything but the initial hover was commanded."""
         return len(self._legs) > 1
 
     def reference(self, times: Float[np.ndarray, "n"]) -> FlatState:

@@ -20,7 +20,8 @@ from jaxplan.io.targets import load_target, stored_targets
 from jaxplan.precision import in_float64
 from jaxplan.prediction.candidates import reject_early
 from jaxplan.prediction.observations import Observations
-from jaxplan.prediction.predictors import PREDICTORS, PredictionConfig, build_predictor
+from jaxplan.prediction.predictors import PREDICTORS, build_predictor
+from jaxplan.prediction.protocol import PredictionConfig
 from jaxplan.prediction.scores import observe_windows, score
 from jaxplan.prediction.target_model import shipped_model
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row

@@ -12,12 +12,12 @@ import time
 import jax
 import numpy as np
 
-from jaxplan import interception
 from jaxplan.errors import InputError
 from jaxplan.io.targets import load_target, stored_targets
 from jaxplan.policy.checkpoint import resolve_policy
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.predictors import build_predictor
+from jaxplan.prediction.protocol import PredictionConfig
 from jaxplan.prediction.target_model import shipped_model
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
 from jaxplan.runner.registry import bundled
@@ -92,7 +92,7 @@ def evaluate(config: Config, item: Item) -> Row:
 def prediction_ms(world: str, count: int) -> list[float]:
     """Wall times of the mixture's predictions, 400 candidates each, along a stored target."""
     room = load_world(world)
-    config = interception.prediction_config(room)
+    config = PredictionConfig.for_world(room)
     target = load_target(stored_targets(world)[0], world=world, speed=3.0)
     predict = build_predictor("gmm", config, target.position, 0, shipped_model(world, config.dt), room)
     spent = []

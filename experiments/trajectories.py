@@ -13,6 +13,7 @@ from jaxplan.errors import InputError
 from jaxplan.policy.checkpoint import resolve_policy
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
 from jaxplan.runner.tables import as_latex, as_markdown
+from jaxplan.scenario import build_scenario
 from jaxplan.viz.candidates import candidate_curves
 from jaxplan.world.load import load_world
 
@@ -70,7 +71,7 @@ def items(config: Config) -> list[Item]:
 def evaluate(config: Config, item: Item) -> Row:
     """Fly with every candidate evaluated, and keep some moments."""
     asked = config.intercept()
-    episode = interception.fly(interception.prepare(asked, exhaustive=True), lambda text, share: None)
+    episode = interception.fly(build_scenario(asked, exhaustive=True))
     telling = [cycle for cycle in episode.cycles if (cycle.plans.trajectory >= 0).any()]
     places = np.unique(np.linspace(0, len(telling) - 1, config.moments).astype(int)) if telling else []
     flight = episode.flight

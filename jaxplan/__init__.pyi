@@ -20,8 +20,8 @@ from jaxplan.policy.checkpoint import load_policy as load_policy
 from jaxplan.policy.constant_speed import constant_speed_policy as constant_speed_policy
 from jaxplan.prediction.candidates import Candidates as Candidates
 from jaxplan.prediction.candidates import candidates_from as candidates_from
-from jaxplan.prediction.predictors import PredictionConfig as PredictionConfig
 from jaxplan.prediction.predictors import build_predictor as build_predictor
+from jaxplan.prediction.protocol import PredictionConfig as PredictionConfig
 from jaxplan.prediction.stream import ObservationStream as ObservationStream
 from jaxplan.replanner import Replanner as Replanner
 from jaxplan.spline import FlatState as FlatState

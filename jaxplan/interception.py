@@ -1,38 +1,21 @@
 """One closed-loop episode: the target flies, the defender replans at 10 Hz and flies what is committed."""
 
-import dataclasses
 import time
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxplan.batching import in_portions
 from jaxplan.compilation import compilations
 from jaxplan.config import InterceptConfig
-from jaxplan.errors import InputError
-from jaxplan.feasibility.checkpoint import load_classifier
-from jaxplan.io.targets import Target, load_target
-from jaxplan.planner import Planner, PlannerConfig, build_planner
-from jaxplan.policy.checkpoint import load_policy
-from jaxplan.policy.constant_speed import constant_speed_policy
-from jaxplan.precision import in_float64
 from jaxplan.prediction.observations import Observations
-from jaxplan.prediction.predictors import PredictionConfig, StepPredictor, build_predictor, default_spacing
-from jaxplan.prediction.stream import ObservationStream, StreamConfig
-from jaxplan.prediction.target_model import load_model, shipped_model
-from jaxplan.replanner import CommittedPlan, Cycle, Replanner, ReplannerConfig
-from jaxplan.search.lattice import SearchConfig, build_lattices
-from jaxplan.search.start_place import reachable_place
-from jaxplan.spline import FlatState, hover
-from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, Plant, build_plant
-from jaxplan.vehicle.load import load_vehicle
-from jaxplan.vehicle.params import Vehicle
-from jaxplan.world.clearance import free_distance
-from jaxplan.world.load import load_world
-from jaxplan.world.obstacles import World
+from jaxplan.prediction.stream import ObservationStream
+from jaxplan.replanner import CommittedPlan, Cycle, Replanner
+from jaxplan.scenario import Scenario, build_scenario
+from jaxplan.spline import FlatState
+from jaxplan.tracking.rollout import FlightLog
 
 INTERCEPTION_RADIUS = 0.4
 """Distance [m] that counts as an interception (paper, Sec. IV)."""
@@ -40,46 +23,51 @@ POSITION_ERROR_LIMIT = 0.4
 YAW_ERROR_LIMIT = np.deg2rad(45.0)
 """Tracking errors [m, rad] from which the defender counts as lost (paper, Sec. IV)."""
 
-POINTS_AT_ONCE = 1024
-"""Points whose distance to the world is computed in one call (arbitrary)."""
 
-Progress = Callable[[str, float], None]
-"""Called with what is being done and the share of the longest possible episode that is over."""
+@runtime_checkable
+class Progress(Protocol):
+    """Told how far an episode is."""
+
+    def __call__(self, text: str, share: float, /) -> None:
+        """What is being done, and the share of the longest possible episode that is over."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Scenario:
-    """Everything an episode needs, loaded and checked."""
+@runtime_checkable
+class Guide(Protocol):
+    """What commands the defender: a ``Replanner``, or a baseline that stands in its place."""
 
-    world: World
-    target: Target
-    vehicle: Vehicle
-    replanner: Replanner
-    plant: Plant
-    start: FlatState
-    departure: float
-    seed: int
-    stream: StreamConfig
-    """How what is seen of the target becomes observations."""
-    clearance: Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n"]]
-    """Metres from the nearest obstacle or face of the room, of at least one point."""
+    @property
+    def ever_planned(self) -> bool:
+        """Whether anything but the initial hover was commanded."""
 
-    def control_times(self, now: float) -> Float[np.ndarray, "n+1"]:
-        """Instants of the control steps from one replan to the next [s], both ends included."""
-        steps = round(self.replanner.config.period * CONTROL_RATE)
-        return now + np.arange(steps + 1) / CONTROL_RATE
+    @property
+    def plans(self) -> Sequence[CommittedPlan]:
+        """The initial hover and every plan that was committed, in order; none at all where nothing is planned."""
+
+    def reference(self, times: Float[np.ndarray, "n"]) -> FlatState:
+        """The commanded flat state at ``times`` [s]."""
+
+    def step(self, now: float, observations: Observations) -> Cycle | None:
+        """Decide at time ``now`` [s] from the newest observations; None where nothing is planned."""
 
 
 class Flight(NamedTuple):
     """What was flown: one row per control step (200 Hz), at the end of the step."""
 
     times: Float[np.ndarray, "n"]
+    """Seconds."""
     position: Float[np.ndarray, "n 3"]
+    """Metres, world."""
     velocity: Float[np.ndarray, "n 3"]
+    """Metres per second, world."""
     quat_wxyz: Float[np.ndarray, "n 4"]
+    """Body to world."""
     reference: Float[np.ndarray, "n 3"]
+    """The commanded position [m, world]."""
     target: Float[np.ndarray, "n 3"]
+    """The target's position [m, world]."""
     target_velocity: Float[np.ndarray, "n 3"]
+    """Metres per second, world."""
     position_error: Float[np.ndarray, "n"]
     """Metres from the reference."""
     yaw_error: Float[np.ndarray, "n"]
@@ -94,7 +82,10 @@ class Episode(NamedTuple):
     outcome: str
     """intercepted, collision, tracking_lost, target_ended or no_plan."""
     flight: Flight
+    replans: int
+    """How many times the guide decided."""
     cycles: tuple[Cycle, ...]
+    """What it did each time, where it plans."""
     plans: tuple[CommittedPlan, ...]
     """Every plan that was committed, in order."""
     scenario: Scenario
@@ -106,6 +97,7 @@ class Episode(NamedTuple):
 
     @property
     def success(self) -> bool:
+        """Whether the target was intercepted."""
         return self.outcome == "intercepted"
 
 
@@ -115,84 +107,43 @@ def run(config: InterceptConfig, progress: Progress | None = None) -> Episode:
     Raises:
         InputError, FileError: the configuration, a file, the target or the start cannot be used.
     """
-    report = progress or (lambda text, share: None)
+    report = progress or _tell_nobody
     began = time.perf_counter()
     report("loading", 0.0)
-    scenario = prepare(config)
+    scenario = build_scenario(config)
     report("compiling", 0.0)
     warm_up(scenario)
     return fly(scenario, report, warmup_s=time.perf_counter() - began)
 
 
-def prepare(config: InterceptConfig, *, exhaustive: bool = False, planner: Planner | None = None) -> Scenario:
-    """Load everything a configuration names and check that it fits together.
-
-    Args:
-        exhaustive: evaluate every candidate of a cycle, as ``PlannerConfig`` says.
-        planner: taken to this world, with what it has compiled, instead of building the one that is named.
-    """
-    world = load_world(config.world)
-    vehicle = load_vehicle()
-    target = load_target(config.target, world=world.name, speed=config.speed)
-    distance = _distance_function(world)
-    prediction = prediction_config(world)
-    planner_config = PlannerConfig(exhaustive=exhaustive)
-    _check_target(target, world, distance)
-    position = _start(config, world, target, planner_config.padding)
-    _check_start(position, world, vehicle, distance)
-    start = hover(position)
-    if planner is None:
-        planner = build_planner(planner_config, world=world, vehicle=vehicle, **_policy(config.planner))
-    else:
-        planner = planner.in_world(world)
-    predictor = predictor_for(config, world, target)
-    return Scenario(
-        world=world,
-        target=target,
-        vehicle=vehicle,
-        replanner=Replanner(planner, predictor, start, ReplannerConfig()),
-        plant=build_plant(vehicle),
-        start=start,
-        departure=config.departure,
-        seed=config.seed,
-        stream=StreamConfig(observations=prediction.observations, dt=prediction.dt),
-        clearance=distance,
-    )
-
-
-def prediction_config(world: World) -> PredictionConfig:
-    """How far and how densely targets are predicted in a room of this size (paper, Sec. IV)."""
-    return PredictionConfig(dt=default_spacing(world))
-
-
-def predictor_for(config: InterceptConfig, world: World, target: Target) -> StepPredictor:
-    """The predictor that was asked for, with the mixture that belongs to the world if it needs one."""
-    prediction, model = prediction_config(world), None
-    if config.predictor == "gmm":
-        own = config.target_model
-        model = shipped_model(config.world, prediction.dt) if own is None else load_model(own)
-    return build_predictor(config.predictor, prediction, target.position, config.seed, model, world)
-
-
 def warm_up(scenario: Scenario) -> None:
     """Compile everything that an episode calls."""
-    scenario.replanner.planner.warmup(scenario.start)
+    scenario.planner.warmup(scenario.start)
     count = scenario.stream.observations
     still = Observations(
         times=scenario.stream.dt * np.arange(count), positions=np.tile(np.asarray(scenario.start.pos), (count, 1))
     )
-    scenario.replanner.warm_up(still)
-    key = jax.random.key(scenario.seed)
-    state = scenario.plant.reset(scenario.start, key)
-    state, log = scenario.plant.fly(state, scenario.replanner.reference(scenario.control_times(0.0)))
+    scenario.predictor(still, 0)
+    state = scenario.plant.reset(scenario.start, jax.random.key(scenario.seed))
+    state, log = scenario.plant.fly(state, _replanner(scenario).reference(scenario.control_times(0.0)))
     scenario.clearance(np.asarray(log.pos, dtype=float))
     jax.block_until_ready(state)
 
 
-def fly(scenario: Scenario, progress: Progress, warmup_s: float = 0.0) -> Episode:
-    """Fly a prepared scenario until it is decided."""
+def fly(
+    scenario: Scenario, progress: Progress | None = None, *, guide: Guide | None = None, warmup_s: float = 0.0
+) -> Episode:
+    """Fly a scenario until it is decided.
+
+    Args:
+        scenario: what is flown; nothing compiles where ``warm_up`` has seen it.
+        progress: told after every cycle.
+        guide: what commands the defender instead of a ``Replanner`` with the scenario's planner and predictor.
+        warmup_s: wall time spent before, for the record.
+    """
     compiled, began = compilations(), time.perf_counter()
-    replanner, target, period = scenario.replanner, scenario.target, scenario.replanner.config.period
+    report, guide = progress or _tell_nobody, guide or _replanner(scenario)
+    target, period = scenario.target, scenario.replanning.period
     state = scenario.plant.reset(scenario.start, jax.random.key(scenario.seed))
     stream, cycles, flights, outcome = ObservationStream(scenario.stream), [], [], None
     for index in range(int(np.ceil(target.duration / period))):
@@ -200,19 +151,20 @@ def fly(scenario: Scenario, progress: Progress, warmup_s: float = 0.0) -> Episod
         stream.add(now, target.position(np.array([now]))[0], now)
         observations = stream.observe(now)
         if observations is not None and now >= scenario.departure - 1e-9:
-            cycles.append(replanner.step(now, observations))
+            cycles.append(guide.step(now, observations))
         times = scenario.control_times(now)
-        state, log = scenario.plant.fly(state, replanner.reference(times))
-        flight, outcome = _judge(_flight(times, log, scenario), scenario)
+        state, log = scenario.plant.fly(state, guide.reference(times))
+        flight, outcome = _until_decided(_flight(times[1:], log, guide, scenario), scenario)
         flights.append(flight)
-        progress("flying", (now + period) / target.duration)
+        report("flying", (now + period) / target.duration)
         if outcome:
             break
     return Episode(
-        outcome=outcome or ("target_ended" if replanner.ever_planned else "no_plan"),
+        outcome=outcome or ("target_ended" if guide.ever_planned else "no_plan"),
         flight=Flight(*(np.concatenate(rows) for rows in zip(*flights, strict=True))),
-        cycles=tuple(cycles),
-        plans=tuple(replanner.plans[1:]),
+        replans=len(cycles),
+        cycles=tuple(cycle for cycle in cycles if cycle is not None),
+        plans=tuple(guide.plans[1:]),
         scenario=scenario,
         warmup_s=warmup_s,
         wall_s=time.perf_counter() - began,
@@ -220,16 +172,20 @@ def fly(scenario: Scenario, progress: Progress, warmup_s: float = 0.0) -> Episod
     )
 
 
-def _flight(times: Float[np.ndarray, "n+1"], log: FlightLog, scenario: Scenario) -> Flight:
+def _replanner(scenario: Scenario) -> Replanner:
+    """A new one, which has committed nothing but the hover at the start."""
+    return Replanner(scenario.planner, scenario.predictor, scenario.start, scenario.replanning)
+
+
+def _flight(ends: Float[np.ndarray, "n"], log: FlightLog, guide: Guide, scenario: Scenario) -> Flight:
     """The rows of one cycle: what the plant logged, beside reference and target at the same instants."""
-    ends = times[1:]
     position = np.asarray(log.pos, dtype=float)
     return Flight(
         times=ends,
         position=position,
         velocity=np.asarray(log.vel, dtype=float),
         quat_wxyz=np.asarray(log.quat_wxyz, dtype=float),
-        reference=scenario.replanner.reference(ends).pos,
+        reference=np.asarray(guide.reference(ends).pos),
         target=scenario.target.position(ends),
         target_velocity=scenario.target.velocity(ends),
         position_error=np.asarray(log.position_error, dtype=float),
@@ -238,11 +194,11 @@ def _flight(times: Float[np.ndarray, "n+1"], log: FlightLog, scenario: Scenario)
     )
 
 
-def _judge(flight: Flight, scenario: Scenario) -> tuple[Flight, str | None]:
-    """What decided the episode in these rows, if anything, and the rows up to then. Failure comes before success."""
+def _until_decided(flight: Flight, scenario: Scenario) -> tuple[Flight, str | None]:
+    """The rows up to what decided the episode, and its outcome, if anything did. Failure comes before success."""
     apart = np.linalg.norm(flight.position - flight.target, axis=1)
     tracked = (flight.position_error < POSITION_ERROR_LIMIT) & (flight.yaw_error < YAW_ERROR_LIMIT)
-    free = flight.clearance >= float(scenario.vehicle.radius)
+    free = flight.clearance >= np.asarray(scenario.vehicle.radius).item()
     met = (apart < INTERCEPTION_RADIUS) & (flight.times >= scenario.departure)
     decided = ~tracked | ~free | met
     if not decided.any():
@@ -252,56 +208,5 @@ def _judge(flight: Flight, scenario: Scenario) -> tuple[Flight, str | None]:
     return Flight(*(values[: row + 1] for values in flight)), outcome
 
 
-def _distance_function(world: World) -> Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n"]]:
-    """Distance to the nearest obstacle or face of the room, compiled once, from NumPy to NumPy."""
-
-    @in_float64
-    def on_host(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
-        points = np.asarray(points, dtype=float)
-        return in_portions(lambda some: _distance(on_device, points[some]), np.arange(len(points)), POINTS_AT_ONCE)
-
-    with jax.enable_x64(True):
-        on_device = jax.device_put(world)
-    return on_host
-
-
-_distance = jax.jit(free_distance)
-
-
-def _check_target(target: Target, world: World, distance: Callable) -> None:
-    times = np.arange(0.0, target.duration, 0.05)
-    free = distance(target.position(times))
-    if not (free > 0.0).all():
-        first = int(np.argmax(~(free > 0.0)))
-        where = ", ".join(f"{value:.2f}" for value in target.position(times[first : first + 1])[0])
-        raise InputError(
-            f"target {target.name!r}: at t = {times[first]:.2f} s it is at ({where}) m, outside world {world.name!r} "
-            "or inside an obstacle; give a target that flies in this world"
-        )
-
-
-def _check_start(position: Float[np.ndarray, "3"], world: World, vehicle: Vehicle, distance: Callable) -> None:
-    free = float(distance(np.asarray(position)[None])[0])
-    if not free >= float(vehicle.radius):
-        where = ", ".join(f"{value:.2f}" for value in position)
-        raise InputError(
-            f"start ({where}) m: its clearance in world {world.name!r} is {free:.2f} m, want at least the vehicle's "
-            f"radius {float(vehicle.radius):.2f} m; choose --start inside the room and away from obstacles"
-        )
-
-
-def _policy(planner: str) -> dict[str, Any]:
-    """The time allocation that ``--planner`` names, and what judges its flights."""
-    if planner == "no-policy":
-        return {"policy": constant_speed_policy()}
-    return {"policy": load_policy(planner), "classifier": load_classifier("mfrl") if planner == "mfrl" else None}
-
-
-def _start(config: InterceptConfig, world: World, target: Target, padding: float) -> Float[np.ndarray, "3"]:
-    """The start that was asked for, or the world's own, or a free place at some distance from the target."""
-    if config.start is not None:
-        return np.asarray(config.start, dtype=float)
-    if world.start is not None:
-        return np.asarray(world.start, dtype=float)
-    lattices = build_lattices(world, SearchConfig(padding=padding))
-    return reachable_place(lattices, world, target.position(np.array([0.0]))[0])
+def _tell_nobody(text: str, share: float, /) -> None:
+    """Progress that nobody asked for."""

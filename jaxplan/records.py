@@ -1,11 +1,13 @@
 """``@record``: the frozen, keyword-only pytrees that carry all data of this library.
 
 A record is a dataclass that JAX can map over. Its ``__post_init__`` checks run when a person builds
-one, and never when JAX rebuilds one from traced leaves, so checks may look at concrete values.
+one, and never when JAX rebuilds one from traced leaves, so checks may look at concrete values. The same holds of the
+fields' annotations, where jaxtyping's import hook is on (``jaxplan.arrays``): it checks the arguments of ``__init__``,
+and JAX does not call ``__init__``.
 """
 
 import dataclasses
-from typing import Any, TypeVar, dataclass_transform
+from typing import Any, TypeVar, cast, dataclass_transform
 
 import jax
 
@@ -17,11 +19,13 @@ def static(**kwargs: Any) -> Any:
     return dataclasses.field(metadata={"static": True}, **kwargs)
 
 
-@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(static, dataclasses.field))
+@dataclass_transform(
+    frozen_default=True, kw_only_default=True, eq_default=False, field_specifiers=(static, dataclasses.field)
+)
 def record(cls: type[T]) -> type[T]:
     """Make ``cls`` a frozen keyword-only dataclass and register it as a JAX pytree."""
     cls = dataclasses.dataclass(frozen=True, kw_only=True, eq=False)(cls)
-    fields = dataclasses.fields(cls)  # type: ignore[arg-type]
+    fields = dataclasses.fields(cast(Any, cls))  # the type checker does not follow the decorator
     traced = tuple(f.name for f in fields if not f.metadata.get("static"))
     fixed = tuple(f.name for f in fields if f.metadata.get("static"))
 
@@ -44,4 +48,4 @@ def record(cls: type[T]) -> type[T]:
 
 def replace(instance: T, **changes: Any) -> T:
     """A copy of a record with some fields changed, checked like a new one."""
-    return dataclasses.replace(instance, **changes)  # type: ignore[type-var]
+    return cast(T, dataclasses.replace(cast(Any, instance), **changes))

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from jaxplan.planner import Approaches, Planner, Plans, Timer, select, select_approach
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.prediction.observations import Observations
-from jaxplan.prediction.predictors import Predictor
+from jaxplan.prediction.protocol import Predictor
 from jaxplan.records import replace
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import Note, PlanStatus, Reason, count_reasons
@@ -146,10 +146,6 @@ class Replanner:
             jump=jump,
             note=Note(candidates.note),
         )
-
-    def warm_up(self, observations: Observations) -> None:
-        """Compile what the predictor calls, for as many observations as it wants."""
-        self._predictor(observations, 0)
 
     def _decide(
         self, state: FlatState, candidates: Candidates, plans: Plans, takeover: float, timer: Timer

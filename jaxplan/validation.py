@@ -30,3 +30,11 @@ def require_within(owner: str, config: object, low: float, high: float, *names: 
         value = getattr(config, name)
         if not low <= value <= high:
             raise InputError(f"{owner}: {name} is {value}, want {low:g} to {high:g}")
+
+
+def require_range(owner: str, config: object, *names: str) -> None:
+    """Raise ``InputError`` unless the named fields are pairs of finite numbers above 0, the lesser first."""
+    for name in names:
+        low, high = getattr(config, name)
+        if not 0.0 < low <= high < math.inf:
+            raise InputError(f"{owner}: {name} is {(low, high)}, want two positive numbers, the lesser first")

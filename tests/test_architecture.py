@@ -14,7 +14,7 @@ LAYERS = [
     {"minsnap", "vehicle", "world"},
     {"prediction", "search", "knots", "policy", "arrival", "selection", "tracking", "feasibility"},
     {"planner"},
-    {"viz", "io", "interception", "replanner", "metrics", "training"},
+    {"viz", "io", "interception", "scenario", "replanner", "metrics", "training"},
     {"runner"},
     {"cli", "experiments", "benchmarks", "jaxplan"},
 ]
@@ -27,7 +27,9 @@ SIBLINGS = {
     ("mjcf_probe", "errors"),
     ("validation", "errors"),
     ("files", "errors"),
-    ("interception", "io"),
+    ("scenario", "io"),
+    ("scenario", "replanner"),
+    ("interception", "scenario"),
     ("interception", "replanner"),
     ("metrics", "interception"),
 }

@@ -1,5 +1,6 @@
 """``jaxplan train gmm``: fit a mixture of target motions for ``--predictor gmm``."""
 
+import dataclasses
 import hashlib
 from importlib import metadata
 from pathlib import Path
@@ -11,10 +12,12 @@ from jaxtyping import Float
 from jaxplan.cli.parameters import command_line, option_values, with_options
 from jaxplan.errors import InputError
 from jaxplan.prediction.gmm import FitConfig, fit_mixture
-from jaxplan.prediction.predictors import SPACING, PredictionConfig, build_predictor, default_spacing
+from jaxplan.prediction.predictors import build_predictor
+from jaxplan.prediction.protocol import PredictionConfig
 from jaxplan.prediction.scores import observe_windows, score
 from jaxplan.prediction.target_model import TargetModel, save_model, window_coordinates
-from jaxplan.prediction.windows import OPEN_SPACE, WaypointSource, WindowConfig, chains, draw_windows, walks
+from jaxplan.prediction.waypoints import ChainConfig, WaypointSource, chains, walks
+from jaxplan.prediction.windows import OPEN_SPACE, WindowConfig, draw_windows
 from jaxplan.training.tours import tours
 from jaxplan.versions import require_supported_jax
 from jaxplan.world.load import load_world
@@ -63,7 +66,7 @@ def gmm(
         raise InputError(f"train gmm: have {have}, want a .npy file in a folder that exists and at least 1; correct it")
     room = None if world is None else load_world(world)
     if dt is None:
-        dt = SPACING if room is None else default_spacing(room)
+        dt = (PredictionConfig() if room is None else PredictionConfig.for_world(room)).dt
     flights = flights or ("walks" if room is None else "tours")
     source, cuts = _flights(flights, room, dt)
     rng = np.random.default_rng(config.seed)
@@ -94,23 +97,20 @@ def _flights(kind: Flights, room: World | None, dt: float) -> tuple[WaypointSour
     if (room is None) != (kind == "walks"):
         raise InputError(f"--flights: have {kind!r}, want walks without --world and tours or chains with it")
     if room is None:
-        config = WindowConfig(dt=dt, **OPEN_SPACE)
-        return walks(config), config
+        return walks(), dataclasses.replace(OPEN_SPACE, dt=dt)
     config = WindowConfig(dt=dt)
-    return (tours(room, config.margin) if kind == "tours" else chains(room, config)), config
+    source = tours(room, config.margin) if kind == "tours" else chains(room, ChainConfig(margin=config.margin))
+    return source, config
 
 
 def _scores(model: TargetModel, windows: Float[np.ndarray, "k length 3"], room: World | None) -> dict[str, Any]:
     """Errors, likelihood and coverage of the mixture, and the errors of constant velocity, on the same windows."""
     config = PredictionConfig(steps=model.steps, dt=model.dt, observations=model.observations)
 
-    def unknown(times: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 3"]:
-        raise AssertionError("these predictors do not look at the truth")
-
     seen, futures = observe_windows(windows, model.observations, model.dt)
     found: dict[str, Any] = {"windows": len(windows)}
     for name in ("gmm", "constant-velocity"):
-        predictor = build_predictor(name, config, unknown, model=model, world=room)
+        predictor = build_predictor(name, config, model=model, world=room)
         summary = score([predictor.predict(observations) for observations in seen], futures).summary()
         found[name] = {key: None if value is None else round(value, 4) for key, value in summary.items()}
     return found

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
 
+from jaxplan.arrays import AnyArray
 from jaxplan.records import record, replace, static
 from jaxplan.status import Reason, bit
 from jaxplan.world.clearance import clearance, wall_clearance
@@ -14,14 +15,15 @@ from jaxplan.world.obstacles import World
 class Candidates:
     """K goals with their arrival times; candidates with a reason are dropped before the costly stations."""
 
-    goals: Float[Array, "k 3"]
+    goals: Float[AnyArray, "k 3"]
     """Positions [m, world]."""
-    arrival_times: Float[Array, "k"]
+    arrival_times: Float[AnyArray, "k"]
     """Seconds from the instant of the prediction."""
-    likelihood: Float[Array, "k"]
+    likelihood: Float[AnyArray, "k"]
     """Normalised to [0, 1] within the batch."""
-    reasons: UInt32[Array, "k"]
-    target: Float[Array, "3"]
+    reasons: UInt32[AnyArray, "k"]
+    """Why a candidate cannot be used, as ``jaxplan.status.Reason``; 0: it can."""
+    target: Float[AnyArray, "3"]
     """Where the target was last seen [m, world]; its distance chooses the search lattice."""
     note: int = static(default=0)
     """What deserves mention about all of them, as ``jaxplan.status.Note``."""
@@ -33,7 +35,14 @@ def candidates_from(
     arrival_times: Float[np.ndarray, "k"],
     log_likelihood: Float[np.ndarray, "k"],
 ) -> Candidates:
-    """Candidates whose likelihood is relative to the best one; equal log-likelihoods all give 1 (host)."""
+    """Candidates whose likelihood is relative to the best one; equal log-likelihoods all give 1 (host).
+
+    Args:
+        target: where it was last seen [m, world].
+        goals: where it could be met [m, world].
+        arrival_times: when [s from now].
+        log_likelihood: of each candidate, to within a constant; one that is not finite gives the likelihood 0.
+    """
     finite = np.isfinite(log_likelihood)
     best = np.max(log_likelihood, initial=-np.inf, where=finite)
     likelihood = np.where(finite, np.exp(np.where(finite, log_likelihood - best, 0.0)), 0.0)
@@ -52,12 +61,14 @@ def reject_early(
     """Mark what cannot be a goal: outside the room, in a padded obstacle, at no usable time, out of reach.
 
     Args:
+        candidates: what is proposed; what is marked already stays so.
+        world: the room and its obstacles.
         start: where the plan starts [m, world]; arrival times count from that instant.
         padding: clearance that a goal needs from obstacles [m].
         max_speed: speed [m/s] above which no plan flies; farther goals are out of reach whatever the path.
     """
-    goals, left = candidates.goals, candidates.arrival_times
-    distance = jnp.sqrt(jnp.sum((goals - start) ** 2, axis=-1))
+    goals, left = jnp.asarray(candidates.goals), jnp.asarray(candidates.arrival_times)
+    distance = jnp.sqrt(jnp.sum((goals - start[None]) ** 2, axis=-1))
     reasons = (
         bit(~jnp.isfinite(goals).all(axis=-1), Reason.NONFINITE)
         | bit(~(wall_clearance(world, goals) >= world.keep_in), Reason.GOAL_OUTSIDE)

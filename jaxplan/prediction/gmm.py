@@ -15,9 +15,11 @@ How many components there are is decided by the likelihood of windows that were 
 import dataclasses
 import warnings
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 from sklearn.exceptions import ConvergenceWarning
@@ -25,8 +27,9 @@ from sklearn.mixture import GaussianMixture
 
 from jaxplan.errors import InputError
 from jaxplan.prediction.mixture import covariance_factors
+from jaxplan.validation import require_at_least, require_positive
 
-_LEAST_SPREAD = 1e-9
+_LEAST_DEVIATION = 1e-9
 """Metres; coordinates whose standard deviation is below this are constant."""
 
 
@@ -50,37 +53,43 @@ class FitConfig:
     def __post_init__(self) -> None:
         if not self.components or min(self.components) < 1:
             raise InputError(f"fit: components are {self.components}, want counts of at least 1")
-        for name in ("floor", "tolerance"):
-            if not 0.0 < getattr(self, name) < float("inf"):
-                raise InputError(f"fit: {name} is {getattr(self, name)}, want a positive number")
-        if not 0.0 <= self.shrinkage < float("inf"):
-            raise InputError(f"fit: shrinkage is {self.shrinkage}, want 0 or more")
+        require_positive("fit", self, "floor", "tolerance")
+        require_at_least("fit", self, 0.0, "shrinkage")
+        require_at_least("fit", self, 1, "iterations")
 
 
 @dataclasses.dataclass(frozen=True)
 class Fit:
-    """A mixture in the form that ``jaxplan.prediction.mixture.prepare`` wants."""
+    """A mixture in the form that ``jaxplan.prediction.mixture.conditional_mixture`` wants."""
 
     weights: Float[np.ndarray, "k"]
+    """With the sum 1."""
     means: Float[np.ndarray, "k d"]
     factors: Float[np.ndarray, "k d d"]
+    """Lower triangular factors of the covariances."""
     log_likelihood: float
     """Mean logarithm of the density of the held-out windows."""
     converged: bool
+    """Whether EM stopped before ``FitConfig.iterations``."""
 
 
 def fit_mixture(
-    training: Float[np.ndarray, "n d"],
-    held_out: Float[np.ndarray, "m d"],
+    training: Annotated[ArrayLike, "n d"],
+    held_out: Annotated[ArrayLike, "m d"],
     config: FitConfig = FitConfig(),
 ) -> tuple[Fit, dict[int, float]]:
     """The mixture whose number of components makes the held-out windows likeliest, and the scores of all numbers.
 
+    Args:
+        training: windows to fit, d coordinates [m] each.
+        held_out: windows that decide between the numbers of components.
+        config: how the mixture is fitted.
+
     Raises:
         InputError: the windows are too few, constant, not finite, or of different sizes.
     """
-    _check(training, held_out, config.components)
-    fits = {count: _fit(training, held_out, count, config) for count in sorted(set(config.components))}
+    seen, unseen = _checked(training, held_out, config.components)
+    fits = {count: _fit(seen, unseen, count, config) for count in sorted(set(config.components))}
     best = max(fits, key=lambda count: fits[count].log_likelihood)
     return fits[best], {count: fit.log_likelihood for count, fit in fits.items()}
 
@@ -91,7 +100,7 @@ def log_likelihood(
     factors: Float[np.ndarray, "k d d"],
     points: Float[np.ndarray, "n d"],
 ) -> Float[np.ndarray, "n"]:
-    """Logarithm of the joint density of each point."""
+    """Logarithm of the joint density of each point under the mixture, whose ``factors`` are lower triangular (host)."""
     parts = []
     for weight, mean, factor in zip(weights, means, factors, strict=True):
         white = solve_triangular(factor, (points - mean).T, lower=True)
@@ -127,7 +136,11 @@ def _shrunk(
     return ((1.0 - share)[:, None, None] * shapes + share[:, None, None] * pooled) * traces[:, None, None]
 
 
-def _check(training: Float[np.ndarray, "n d"], held_out: Float[np.ndarray, "m d"], components: Sequence[int]) -> None:
+def _checked(
+    training: Annotated[ArrayLike, "n d"], held_out: Annotated[ArrayLike, "m d"], components: Sequence[int]
+) -> tuple[Float[np.ndarray, "n d"], Float[np.ndarray, "m d"]]:
+    """Both as tables of float64; InputError for what cannot be fitted."""
+    training, held_out = np.asarray(training, dtype=float), np.asarray(held_out, dtype=float)
     if training.ndim != 2 or held_out.ndim != 2 or training.shape[1] != held_out.shape[1]:
         raise InputError(f"fit: windows have the shapes {training.shape} and {held_out.shape}, want (n, d) and (m, d)")
     least = 2 * max(components)
@@ -136,6 +149,7 @@ def _check(training: Float[np.ndarray, "n d"], held_out: Float[np.ndarray, "m d"
         raise InputError(f"fit: have {have}, want at least {least} and 1 for {max(components)} components")
     if not (np.isfinite(training).all() and np.isfinite(held_out).all()):
         raise InputError("fit: windows have values that are not finite; remove them")
-    constant = np.flatnonzero(training.std(axis=0) < _LEAST_SPREAD)
+    constant = np.flatnonzero(training.std(axis=0) < _LEAST_DEVIATION)
     if len(constant):
         raise InputError(f"fit: coordinate {constant[0]} is the same in all windows; want targets that move")
+    return training, held_out

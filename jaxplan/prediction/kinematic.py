@@ -23,17 +23,17 @@ def constant_velocity(observations: Observations, offsets: Float[np.ndarray, "s"
     """Straight on from the newest position; its variance grows as if an unknown acceleration lasted."""
     velocity = _derivatives(observations, VELOCITY_FROM, degree=1)[0]
     means = observations.positions[-1] + offsets[:, None] * velocity
-    return _spread(means, offsets, float(np.linalg.norm(velocity)))
+    return _isotropic(means, offsets, float(np.linalg.norm(velocity)))
 
 
 def constant_acceleration(observations: Observations, offsets: Float[np.ndarray, "s"]) -> Prediction:
     """The parabola through the newest positions, continued from the newest one."""
     velocity, acceleration = _derivatives(observations, ACCELERATION_FROM, degree=2)
     means = observations.positions[-1] + offsets[:, None] * velocity + 0.5 * offsets[:, None] ** 2 * acceleration
-    return _spread(means, offsets, float(np.linalg.norm(velocity)))
+    return _isotropic(means, offsets, float(np.linalg.norm(velocity)))
 
 
-def _spread(means: Float[np.ndarray, "s 3"], offsets: Float[np.ndarray, "s"], speed: float) -> Prediction:
+def _isotropic(means: Float[np.ndarray, "s 3"], offsets: Float[np.ndarray, "s"], speed: float) -> Prediction:
     """One isotropic normal distribution for each offset, as wide as turns of the usual radius allow."""
     acceleration = LEAST_ACCELERATION + speed**2 / TURN_RADIUS
     deviations = np.sqrt(POSITION_NOISE**2 + (0.5 * acceleration * offsets**2) ** 2)

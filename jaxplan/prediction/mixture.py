@@ -12,8 +12,8 @@ The factor is ordered so that nothing has to be solved when an observation comes
 conditional covariance is a product of a factor with its transpose, so it is never indefinite, and it does not depend
 on o: the factors of its blocks, one for each step, are computed once. Weights are normalised in logarithms.
 
-``prepare`` runs on the host in NumPy float64. The other functions are pure JAX for one observation, in float64 where
-the caller's JAX has 64-bit types enabled; batch them with ``vmap``.
+``condition``, ``draw`` and ``log_density`` are pure JAX for one observation, in float64 where the caller's JAX has
+64-bit types enabled; batch them with ``vmap``. The other functions run on the host in NumPy float64.
 """
 
 import jax
@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.linalg import solve_triangular
 
+from jaxplan.arrays import AnyArray
 from jaxplan.records import record
 
 CONDITION_LIMIT = 1e12
@@ -33,20 +34,20 @@ _LOG_TWO_PI = float(np.log(2.0 * np.pi))
 
 @record
 class Prediction:
-    """Where a target may be at s future instants: at each a mixture of c normal distributions (world, m),
-    components last."""
+    """Where a target may be at s future instants: at each a mixture of c normal distributions, components last."""
 
-    offsets: Float[Array, "s"]
+    offsets: Float[AnyArray, "s"]
     """Seconds from the newest observation."""
-    log_weights: Float[Array, "c"]
+    log_weights: Float[AnyArray, "c"]
     """Normalised; the same at every instant."""
-    means: Float[Array, "s 3 c"]
-    factors: Float[Array, "s 3 3 c"]
-    """Lower triangular factors of the covariances; 0 for a position that is certain."""
+    means: Float[AnyArray, "s 3 c"]
+    """Metres, world."""
+    factors: Float[AnyArray, "s 3 3 c"]
+    """Lower triangular factors of the covariances [m]; 0 for a position that is certain."""
 
     @property
-    def mean(self) -> Float[Array, "s 3"]:
-        """The expected positions [m]."""
+    def mean(self) -> Float[np.ndarray, "s 3"]:
+        """The expected positions [m, world] (host)."""
         return np.asarray(self.means) @ np.exp(self.log_weights)
 
 
@@ -57,17 +58,17 @@ class ConditionalMixture:
     Both z_k and the conditional means are affine in the observation: two matrix-vector products serve all components.
     """
 
-    log_weights: Float[Array, "k"]
+    log_weights: Float[AnyArray, "k"]
     """log pi_k - log det A_k - q/2 log 2 pi: with -|z|^2/2 the joint log-density of component and observation."""
-    rows: Float[Array, "n k q"]
+    rows: Float[AnyArray, "n k q"]
     """A_k^-1 above B_k A_k^-1, n = q + 3 s."""
-    constants: Float[Array, "n k"]
+    constants: Float[AnyArray, "n k"]
     """-A_k^-1 mu_k,o above mu_k,f - B_k A_k^-1 mu_k,o."""
-    factors: Float[Array, "s 3 3 k"]
+    factors: Float[AnyArray, "s 3 3 k"]
     """Lower triangular factors of the 3 x 3 blocks of C_k C_k^T on the diagonal."""
-    inverses: Float[Array, "s 3 3 k"]
+    inverses: Float[AnyArray, "s 3 3 k"]
     """Their inverses."""
-    log_volumes: Float[Array, "s k"]
+    log_volumes: Float[AnyArray, "s k"]
     """Logarithms of their determinants [log m^3]."""
 
 
@@ -87,20 +88,24 @@ def covariance_factors(covariances: Float[np.ndarray, "k d d"]) -> Float[np.ndar
     return np.linalg.cholesky(np.where(weak[..., None, None], repaired, symmetric))
 
 
-def prepare(
+def conditional_mixture(
     weights: Float[np.ndarray, "k"],
     means: Float[np.ndarray, "k d"],
     factors: Float[np.ndarray, "k d d"],
     observed: int,
 ) -> ConditionalMixture:
-    """A mixture with lower triangular covariance ``factors``, ready for conditioning on its first coordinates."""
+    """A mixture made ready for conditioning on its first coordinates.
+
+    Args:
+        weights: of the components, with the sum 1.
+        means: d = observed + 3 s coordinates [m], the observed ones first.
+        factors: lower triangular factors of the covariances [m].
+        observed: how many coordinates are observed.
+    """
     components, size = means.shape
     steps = (size - observed) // 3
-    head, cross, tail = (
-        factors[:, :observed, :observed],
-        factors[:, observed:, :observed],
-        factors[:, observed:, observed:],
-    )
+    head, cross = factors[:, :observed, :observed], factors[:, observed:, :observed]
+    tail = factors[:, observed:, observed:]
     identity = np.eye(observed)
     whitening = np.stack([solve_triangular(block, identity, lower=True) for block in head])
     rows = np.concatenate([whitening, cross @ whitening], axis=1)
@@ -112,7 +117,7 @@ def prepare(
     signs = np.where(np.diagonal(upper, axis1=-2, axis2=-1) < 0.0, -1.0, 1.0)
     blocks = _components_last(np.tril(np.swapaxes(upper * signs[..., None], -1, -2)))
     determinant = np.log(np.diagonal(head, axis1=1, axis2=2)).sum(axis=1)
-    inverses, log_volumes = scales(blocks)
+    inverses, log_volumes = density_terms(blocks)
     return ConditionalMixture(
         log_weights=np.log(weights) - determinant - 0.5 * observed * _LOG_TWO_PI,
         rows=np.ascontiguousarray(np.swapaxes(rows, 0, 1)),
@@ -124,12 +129,13 @@ def prepare(
 
 
 def condition(
-    model: ConditionalMixture, observed: Float[Array, "q"]
+    model: ConditionalMixture, observed: Float[AnyArray, "q"]
 ) -> tuple[Float[Array, "k"], Float[Array, "s 3 k"], Float[Array, ""]]:
     """Normalised log-weights and means of the future given what is observed, and how unusual that is.
 
-    The third value is the least squared Mahalanobis distance over the components: about q for a window like those the
-    model was made from. The covariances do not depend on ``observed``: their factors stand in the model.
+    The means are in metres. The third value is the least squared Mahalanobis distance over the components: about q for
+    a window like those the model was made from. The covariances do not depend on ``observed``: their factors stand in
+    the model.
     """
     size = len(observed)
     affine = model.rows.reshape(-1, size) @ observed + model.constants.reshape(-1)
@@ -139,52 +145,63 @@ def condition(
     return log_weights, means.reshape(-1, 3, len(log_weights)), squared.min()
 
 
-def choose(
-    log_weights: Float[Array, "c"],
-    means: Float[Array, "s 3 c"],
-    factors: Float[Array, "s 3 3 c"],
-    uniform: Float[Array, "s b"],
-    normal: Float[Array, "s b 3"],
+def draw(
+    log_weights: Float[AnyArray, "c"],
+    means: Float[AnyArray, "s 3 c"],
+    factors: Float[AnyArray, "s 3 3 c"],
+    uniform: Float[AnyArray, "s b"],
+    normal: Float[AnyArray, "s b 3"],
 ) -> Float[Array, "s b 3"]:
-    """b positions [m] for each of s instants.
+    """b positions [m] from the mixture of each of s instants.
 
     Args:
+        log_weights, means, factors: as of ``Prediction``.
         uniform: numbers in [0, 1) that choose the components.
         normal: independent standard normal numbers.
     """
     count = len(log_weights)
     shares = jnp.tril(jnp.ones((count, count))) @ jnp.exp(log_weights)  # cheaper than cumsum, which XLA makes quadratic
-    component = (uniform[..., None] * shares[-1] >= shares[:-1]).sum(axis=-1)
+    component = (uniform[..., None] * shares[-1] >= shares[None, None, :-1]).sum(axis=-1)
     step = jnp.arange(len(means))[:, None]
     means, factors = jnp.asarray(means), jnp.asarray(factors)
     return means[step, :, component] + (factors[step, :, :, component] * normal[:, :, None, :]).sum(axis=-1)
 
 
 def log_density(
-    log_weights: Float[Array, "c"],
-    means: Float[Array, "s 3 c"],
-    inverses: Float[Array, "s 3 3 c"],
-    log_volumes: Float[Array, "s c"],
-    positions: Float[Array, "s b 3"],
+    log_weights: Float[AnyArray, "c"],
+    means: Float[AnyArray, "s 3 c"],
+    inverses: Float[AnyArray, "s 3 3 c"],
+    log_volumes: Float[AnyArray, "s c"],
+    positions: Float[AnyArray, "s b 3"],
 ) -> Float[Array, "s b"]:
     """Logarithm of the density [1/m^3] of each instant's mixture at b positions [m].
 
-    ``inverses`` and ``log_volumes`` are what ``scales`` makes of the factors.
+    ``inverses`` and ``log_volumes`` are what ``density_terms`` makes of the factors.
     """
     dx, dy, dz = (positions[:, :, axis, None] - means[:, None, axis] for axis in range(3))
     row = inverses[:, :, :, None]
     x = row[:, 0, 0] * dx
     y = row[:, 1, 0] * dx + row[:, 1, 1] * dy
     z = row[:, 2, 0] * dx + row[:, 2, 1] * dy + row[:, 2, 2] * dz
-    exponent = (log_weights - log_volumes)[:, None] - 0.5 * (x * x + y * y + z * z)
+    exponent = (log_weights[None] - log_volumes)[:, None] - 0.5 * (x * x + y * y + z * z)
     return jax.nn.logsumexp(exponent, axis=-1) - 1.5 * _LOG_TWO_PI
 
 
-def scales(factors: Float[np.ndarray, "s 3 3 c"]) -> tuple[Float[np.ndarray, "s 3 3 c"], Float[np.ndarray, "s c"]]:
-    """What ``log_density`` wants to know of regular factors: inverses, and logarithms of determinants."""
+def density_terms(
+    factors: Float[np.ndarray, "s 3 3 c"],
+) -> tuple[Float[np.ndarray, "s 3 3 c"], Float[np.ndarray, "s c"]]:
+    """Inverses [1/m] of regular factors [m], and logarithms of their determinants [log m^3], for ``log_density``."""
     inverses = np.linalg.inv(np.moveaxis(factors, -1, 1))
     diagonal = np.stack([factors[:, axis, axis] for axis in range(3)])
     return np.ascontiguousarray(np.moveaxis(inverses, 1, -1)), np.log(diagonal).sum(axis=0)
+
+
+def draw_randoms(
+    steps: int, batch: int, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "s b"], Float[np.ndarray, "s b 3"]]:
+    """The uniform and the standard normal numbers that ``draw`` wants for ``batch`` positions at each step."""
+    normal = rng.standard_normal((steps, batch, 3))
+    return rng.random((steps, batch)), normal
 
 
 def _components_last(array: Float[np.ndarray, "k *n"]) -> Float[np.ndarray, "*n k"]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplan.precision import in_float64
-from jaxplan.prediction.mixture import Prediction, choose, log_density, scales
+from jaxplan.prediction.mixture import Prediction, density_terms, draw, log_density
 from jaxplan.prediction.observations import Observations
 
 RANK_DRAWS = 200
@@ -70,19 +70,19 @@ def _score_one(
         return errors, unknown, unknown
     steps = len(errors)
     randoms = rng.random((steps, RANK_DRAWS)), rng.standard_normal((steps, RANK_DRAWS, 3))
-    density, rank = _rank(prediction, scales(factors), truth, *randoms)
+    density, rank = _rank(prediction, density_terms(factors), truth, *randoms)
     return errors, np.asarray(density), np.asarray(rank)
 
 
 @jax.jit
 def _rank(
     prediction: Prediction,
-    scale: tuple[Float[Array, "s 3 3 c"], Float[Array, "s c"]],
+    terms: tuple[Float[Array, "s 3 3 c"], Float[Array, "s c"]],
     truth: Float[Array, "s 3"],
     uniform: Float[Array, "s b"],
     normal: Float[Array, "s b 3"],
 ) -> tuple[Float[Array, "s"], Float[Array, "s"]]:
-    drawn = choose(prediction.log_weights, prediction.means, prediction.factors, uniform, normal)
+    drawn = draw(prediction.log_weights, prediction.means, prediction.factors, uniform, normal)
     places = jnp.concatenate([truth[:, None], drawn], axis=1)
-    densities = log_density(prediction.log_weights, prediction.means, *scale, places)
+    densities = log_density(prediction.log_weights, prediction.means, *terms, places)
     return densities[:, 0], (densities[:, 1:] > densities[:, :1]).mean(axis=1)

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxplan.errors import FileError, InputError
-from jaxplan.prediction.mixture import ConditionalMixture, prepare
+from jaxplan.prediction.mixture import ConditionalMixture, conditional_mixture
 from jaxplan.world.obstacles import World
 
 FORMAT = "jaxplan target model 1"
@@ -55,9 +55,9 @@ class TargetModel:
         """Coordinates that are observed."""
         return 3 * (self.observations - 1) + (0 if self.bounds is None else 3)
 
-    def prepare(self) -> ConditionalMixture:
-        """Ready for conditioning on the observed coordinates."""
-        return prepare(self.weights, self.means, self.factors, self.observed)
+    def conditional(self) -> ConditionalMixture:
+        """The mixture made ready for conditioning on the observed coordinates."""
+        return conditional_mixture(self.weights, self.means, self.factors, self.observed)
 
 
 def window_coordinates(

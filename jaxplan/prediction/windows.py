@@ -1,31 +1,24 @@
 """Windows of random minimum-snap flights, from which a mixture learns how targets move (paper, Sec. III-C).
 
-A window is what a predictor sees and what it has to say: N_obs observed and N_pred future positions, dt apart. In a
-world, waypoints are chains of free places, each in sight of the last; in open space (no world) they are a random walk.
-Durations are proportional to distances, as of the stored targets, and each flight is time-scaled to a random maximum
-speed. A window is kept when every one of its points is clear; the rest of its flight does not matter.
+A window is what a predictor sees and what it has to say: N_obs observed and N_pred future positions, dt apart. The
+waypoints of the flights come from a source (``jaxplan.prediction.waypoints``). Durations are proportional to distances,
+as of the stored targets, and each flight is time-scaled to a random maximum speed. A window is kept when every one of
+its points is clear; the rest of its flight does not matter.
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
-import jax
 import numpy as np
 from jaxtyping import Float, Int
 
 from jaxplan.errors import InputError
 from jaxplan.minsnap.many import minimum_snap_batch
-from jaxplan.precision import in_float64
-from jaxplan.world import clearance
+from jaxplan.prediction.waypoints import FLIGHTS, WaypointSource
+from jaxplan.validation import require_at_least, require_positive, require_range
+from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.obstacles import World
 
-FLIGHTS = 512
-"""Flights that are solved side by side."""
-_POOL = 4096
-"""Places that are drawn for one batch of chains."""
-_SIGHT_STEP = 0.25
-"""Interval [m] at which the way between two places is checked; coarse, since only plausibility hangs on it."""
 _SPEEDS = 10
 """Classes of maximum speed that are equally frequent."""
 _PATIENCE = 20
@@ -48,32 +41,18 @@ class WindowConfig:
     """Least and largest maximum speed of a flight [m/s] (paper, Sec. IV)."""
     margin: float = 0.5
     """Least clearance [m] of a window's points; goals closer to an obstacle would be rejected anyway."""
-    step: tuple[float, float] = (2.0, 6.0)
-    """Least and largest distance [m] between waypoints."""
-    ahead: float = 0.5
-    """Share of waypoints that must lie ahead rather than anywhere; 0 wanders, 1 roams far (arbitrary)."""
-    restlessness: float = 1.2
-    """Largest standard deviation [rad] of the turn at a waypoint of a walk (arbitrary)."""
     max_acceleration: float = 30.0
     """Windows that accelerate more [m/s^2] are left out: no quadrotor flies them (a thrust-to-weight ratio of 3)."""
-    waypoints: int = 10
-    """Waypoints of a flight."""
     cuts: int = 24
     """Windows tried in each flight."""
     keep: int = 5
     """Most windows kept of a flight."""
 
     def __post_init__(self) -> None:
-        for name in ("observations", "steps", "waypoints", "cuts"):
-            if getattr(self, name) < 2:
-                raise InputError(f"windows: {name} is {getattr(self, name)}, want at least 2")
-        for name in ("dt", "margin", "max_acceleration", "restlessness"):
-            if not 0.0 < getattr(self, name) < float("inf"):
-                raise InputError(f"windows: {name} is {getattr(self, name)}, want a positive number")
-        for name in ("speeds", "step"):
-            low, high = getattr(self, name)
-            if not 0.0 < low <= high < float("inf"):
-                raise InputError(f"windows: {name} is {(low, high)}, want two positive numbers, the lesser first")
+        require_at_least("windows", self, 2, "observations", "steps", "cuts")
+        require_at_least("windows", self, 1, "keep")
+        require_positive("windows", self, "dt", "margin", "max_acceleration")
+        require_range("windows", self, "speeds")
 
     @property
     def length(self) -> int:
@@ -81,11 +60,8 @@ class WindowConfig:
         return self.observations + self.steps
 
 
-OPEN_SPACE: dict[str, Any] = {"speeds": (0.3, 8.0), "step": (0.6, 8.0), "max_acceleration": 20.0, "waypoints": 12}
-"""What differs for the generic model: small and fast flights too, since it stands in for all that has no model."""
-
-WaypointSource = Callable[[np.random.Generator], Float[np.ndarray, "m+1 3 b"]]
-"""Draws the waypoints [m, world] of ``FLIGHTS`` flights; how many waypoints a flight has is the source's own affair."""
+OPEN_SPACE = WindowConfig(speeds=(0.3, 8.0), max_acceleration=20.0)
+"""For the generic model: slow and fast flights too, since it stands in for all that has no model of its own."""
 
 
 def draw_windows(
@@ -95,10 +71,17 @@ def draw_windows(
     rng: np.random.Generator,
     config: WindowConfig = WindowConfig(),
 ) -> Float[np.ndarray, "n l 3"]:
-    """``count`` windows [m, world] of flights drawn from each source in turn, shuffled; clear in ``world`` if given.
+    """``count`` windows of l positions [m, world] of flights drawn from each source in turn, shuffled.
 
     All maximum speeds are equally frequent, although fewer windows of fast flights are clear: flights are drawn at the
     speeds of which too few windows have been found. Speeds at which no window fits into the world are left out.
+
+    Args:
+        sources: of the flights' waypoints.
+        world: all windows are clear in it; None in open space.
+        count: how many windows are wanted; there may be fewer, down to the half.
+        rng: of all draws.
+        config: which flights are drawn and how they are cut.
 
     Raises:
         InputError: the world has too little free space for flights of this kind.
@@ -130,7 +113,7 @@ def _plausible(
     change = np.linalg.norm(np.diff(windows, n=2, axis=1), axis=-1).max(axis=1)
     good = change <= config.max_acceleration * config.dt**2
     if world is not None:
-        good &= (free_distance(world, windows) >= config.margin).all(axis=1)
+        good &= (host_free_distance(world, windows) >= config.margin).all(axis=1)
     return windows[good], flight[good]
 
 
@@ -143,67 +126,8 @@ def _few_of_each(
     return windows[place < keep], flight[place < keep]
 
 
-def chains(world: World, config: WindowConfig) -> WaypointSource:
-    """Chains of free places, each a moderate step from the last and in sight of it."""
-    lower, upper = np.asarray(world.bounds, dtype=float)
-
-    def source(rng: np.random.Generator) -> Float[np.ndarray, "m+1 3 b"]:
-        pool = rng.uniform(lower, upper, (_POOL, 3))
-        pool = pool[free_distance(world, pool) > config.margin]
-        if len(pool) < config.waypoints:
-            raise InputError(f"windows: {len(pool)} of {_POOL} random places are clear; want a roomier world")
-        chain = [pool[rng.integers(len(pool), size=FLIGHTS)]]
-        heading = np.zeros((FLIGHTS, 3))
-        for _ in range(config.waypoints - 1):
-            chain.append(_next_places(world, pool, chain[-1], heading, rng, config))
-            heading = chain[-1] - chain[-2]
-        return np.stack(chain).transpose(0, 2, 1)
-
-    return source
-
-
-def _next_places(
-    world: World,
-    pool: Float[np.ndarray, "p 3"],
-    places: Float[np.ndarray, "b 3"],
-    heading: Float[np.ndarray, "b 3"],
-    rng: np.random.Generator,
-    config: WindowConfig,
-    tries: int = 12,
-) -> Float[np.ndarray, "b 3"]:
-    """For each place another: at a moderate distance, in sight, often ahead; the farthest of some where none fits."""
-    choice = pool[rng.integers(len(pool), size=(tries, len(places)))]
-    step = choice - places
-    distance = np.linalg.norm(step, axis=-1)
-    fits = (distance >= config.step[0]) & (distance <= config.step[1])
-    onward = rng.random(len(places)) < config.ahead
-    fits &= ~onward | ((step * heading).sum(axis=-1) >= 0.0)
-    shares = np.linspace(0.0, 1.0, 1 + int(config.step[1] / _SIGHT_STEP))[:, None, None, None]
-    fits &= (free_distance(world, places + shares * step) > 0.5 * config.margin).all(axis=0)
-    rank = np.where(fits, 1e3 - np.arange(tries)[:, None], distance)
-    return choice[rank.argmax(axis=0), np.arange(len(places))]
-
-
-def walks(config: WindowConfig) -> WaypointSource:
-    """Random walks in open space, mostly level. Each flight has a scale and a restlessness of its own, so that there
-    are straight flights and tight turns at every speed."""
-    shape = (config.waypoints - 1, FLIGHTS)
-
-    def source(rng: np.random.Generator) -> Float[np.ndarray, "m+1 3 b"]:
-        turns = rng.standard_normal(shape) * rng.uniform(0.0, config.restlessness, FLIGHTS)
-        climb = np.clip(0.3 * rng.standard_normal(shape), -1.0, 1.0)
-        least, largest = np.log(config.step)
-        scale = np.exp(rng.uniform(least, largest, FLIGHTS))
-        length = scale * rng.uniform(0.5, 1.5, shape)
-        heading, level = rng.uniform(-np.pi, np.pi, FLIGHTS) + np.cumsum(turns, axis=0), length * np.cos(climb)
-        steps = np.stack([level * np.cos(heading), level * np.sin(heading), length * np.sin(climb)], axis=1)
-        return np.concatenate([np.zeros((1, 3, FLIGHTS)), np.cumsum(steps, axis=0)])
-
-    return source
-
-
 def _cut(
-    waypoints: Float[np.ndarray, "m+1 3 b"],
+    waypoints: Float[np.ndarray, "p 3 b"],
     speed_class: Int[np.ndarray, "b"],
     rng: np.random.Generator,
     config: WindowConfig,
@@ -234,32 +158,15 @@ def _positions(
     """Each flight at its own times [s]."""
     ends = np.cumsum(durations, axis=1)
     segment = np.minimum((times[..., None] >= ends[:, None]).sum(axis=-1), durations.shape[1] - 1)
-    lane = np.arange(len(times))[:, None]
-    local = 1.0 - (ends[lane, segment] - times) / durations[lane, segment]
+    flight = np.arange(len(times))[:, None]
+    local = 1.0 - (ends[flight, segment] - times) / durations[flight, segment]
     powers = local[..., None] ** np.arange(coefficients.shape[2])
-    return np.einsum("btn,btna->bta", powers, coefficients[lane, segment])
+    return np.einsum("btn,btna->bta", powers, coefficients[flight, segment])
 
 
-def _fastest(coefficients: Float[np.ndarray, "b m n 3"], durations: Float[np.ndarray, "b m"]) -> np.ndarray:
+def _fastest(coefficients: Float[np.ndarray, "b m n 3"], durations: Float[np.ndarray, "b m"]) -> Float[np.ndarray, "b"]:
     """Maximum speed of each flight as solved [m/s], from samples."""
     degrees = np.arange(1, coefficients.shape[2])
     slopes = np.linspace(0.0, 1.0, _SPEED_SAMPLES)[:, None] ** (degrees - 1) * degrees
     velocity = np.einsum("sn,bmna->bmsa", slopes, coefficients[:, :, 1:]) / durations[:, :, None, None]
     return np.linalg.norm(velocity, axis=-1).max(axis=(1, 2))
-
-
-@in_float64
-def free_distance(world: World, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
-    """Distance [m] to the nearest obstacle or face of the room."""
-    flat = points.reshape(-1, 3)
-    padded = np.zeros((-(-len(flat) // _CHUNK) * _CHUNK, 3))
-    padded[: len(flat)] = flat
-    parts = [np.asarray(_distance(world, part)) for part in padded.reshape(-1, _CHUNK, 3)]
-    return np.concatenate(parts)[: len(flat)].reshape(points.shape[:-1])
-
-
-_CHUNK = 16384
-"""Points in one compiled call, so that nothing compiles twice."""
-
-
-_distance = jax.jit(clearance.free_distance)

@@ -4,9 +4,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxplan.errors import InputError
-from jaxplan.prediction.windows import FLIGHTS, WaypointSource, free_distance
+from jaxplan.prediction.waypoints import FLIGHTS, WaypointSource
 from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes
+from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.obstacles import World
 
 _PLACES = 48
@@ -37,7 +38,7 @@ def tours(world: World, margin: float, waypoints: int = 12) -> WaypointSource:
 def _places(world: World, padding: float, rng: np.random.Generator) -> Float[np.ndarray, "p 3"]:
     lower, upper = np.asarray(world.bounds, dtype=float)
     pool = rng.uniform(lower, upper, (64 * _PLACES, 3))
-    free = pool[free_distance(world, pool) > padding]
+    free = pool[host_free_distance(world, pool) > padding]
     if len(free) < 2:
         raise InputError(
             f"world {world.name!r}: {len(free)} of {len(pool)} random places are clear; want a roomier one"

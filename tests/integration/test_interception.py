@@ -12,38 +12,35 @@ from jaxplan.errors import InputError
 from jaxplan.io.targets import Target, load_target, stored_targets
 from jaxplan.metrics import episode_metrics
 from jaxplan.prediction.observations import Observations
-from jaxplan.prediction.predictors import PREDICTORS, SAMPLING, PredictionConfig, build_predictor
+from jaxplan.prediction.predictors import PREDICTORS, build_predictor
+from jaxplan.prediction.protocol import PredictionConfig
 from jaxplan.prediction.target_model import shipped_model
 from jaxplan.replanner import Replanner
+from jaxplan.scenario import build_scenario
 from jaxplan.spline import hover
 from jaxplan.status import PlanStatus
 from jaxplan.tracking.rollout import CONTROL_RATE
 
-SILENT = lambda text, share: None  # noqa: E731
-
 
 @pytest.fixture(scope="module")
 def scenario():
-    prepared = interception.prepare(InterceptConfig(predictor="noisy"))
-    interception.warm_up(prepared)
-    return prepared
+    built = build_scenario(InterceptConfig(predictor="noisy"))
+    interception.warm_up(built)
+    return built
 
 
 @pytest.fixture(scope="module")
 def episode(scenario):
-    return interception.fly(again(scenario), SILENT)
+    return interception.fly(again(scenario))
 
 
 def again(scenario, *, target=None, predictor="ground-truth", start=None, departure=0.5, seed=0):
     """The same compiled functions in another scenario."""
     target, start = target or scenario.target, start or scenario.start
-    mixture = shipped_model("env1", 0.1) if predictor == "gmm" else None
+    mixture = shipped_model("env1", 0.1) if PREDICTORS[predictor].learned else None
     model = build_predictor(predictor, PredictionConfig(), target.position, seed, mixture, scenario.world)
-    replanner = Replanner(scenario.replanner.planner, model, start)
-    replanner.warm_up(Observations(times=0.1 * np.arange(10), positions=np.tile(start.pos, (10, 1))))
-    return dataclasses.replace(
-        scenario, target=target, replanner=replanner, start=start, departure=departure, seed=seed
-    )
+    model(Observations(times=0.1 * np.arange(10), positions=np.tile(start.pos, (10, 1))), 0)  # compiles
+    return dataclasses.replace(scenario, target=target, predictor=model, start=start, departure=departure, seed=seed)
 
 
 def still(position, duration=3.0):
@@ -87,17 +84,17 @@ def test_flight_log_is_consistent(episode):
 
 
 def test_same_seed_same_flight(scenario, episode):
-    repeated = interception.fly(again(scenario), SILENT)
+    repeated = interception.fly(again(scenario))
     np.testing.assert_array_equal(repeated.flight.position, episode.flight.position)
 
 
 @pytest.mark.parametrize("predictor", PREDICTORS)
 def test_every_predictor_flies_without_compiling(scenario, predictor):
     target = load_target("env1-02", world="env1", speed=1.0)
-    result = interception.fly(again(scenario, target=target, predictor=predictor), SILENT)
+    result = interception.fly(again(scenario, target=target, predictor=predictor))
     assert result.compilations_after_warmup == 0
     assert result.outcome in ("intercepted", "target_ended", "no_plan")
-    assert max(cycle.generated for cycle in result.cycles) == (400 if predictor in SAMPLING else 20)
+    assert max(cycle.generated for cycle in result.cycles) == (400 if PREDICTORS[predictor].sampling else 20)
     if predictor not in ("none", "constant-acceleration"):
         assert result.success
     assert (episode_metrics(result)["predictor_fallbacks"] > 0) == (predictor == "gmm")  # before ten observations
@@ -105,14 +102,14 @@ def test_every_predictor_flies_without_compiling(scenario, predictor):
 
 def test_target_behind_everything_ends_without_success(scenario):
     far = still(np.array([4.3, 4.3, 1.0]), duration=1.2)
-    result = interception.fly(again(scenario, target=far), SILENT)
+    result = interception.fly(again(scenario, target=far))
     assert result.outcome == "target_ended"
     assert not result.success
     assert episode_metrics(result)["time_to_intercept_s"] is None
 
 
 def test_late_departure_means_no_plan(scenario):
-    result = interception.fly(again(scenario, target=still(np.array([4.0, 4.0, 1.0]), 1.0), departure=5.0), SILENT)
+    result = interception.fly(again(scenario, target=still(np.array([4.0, 4.0, 1.0]), 1.0), departure=5.0))
     assert result.outcome == "no_plan"
     assert len(result.cycles) == 0
     assert result.flight.times[-1] == pytest.approx(1.0)
@@ -121,7 +118,7 @@ def test_late_departure_means_no_plan(scenario):
 
 def test_a_silent_target_is_lost_and_no_stale_goal_is_chased(scenario):
     """Predictions first reach less far ahead, then there are none; what is committed is flown to its end."""
-    replanner = again(scenario, predictor="constant-velocity").replanner
+    replanner = Replanner(scenario.planner, again(scenario, predictor="constant-velocity").predictor, scenario.start)
     times = 0.1 * np.arange(10)
     positions = scenario.target.position(times)
     statuses = [
@@ -139,14 +136,14 @@ def test_a_silent_target_is_lost_and_no_stale_goal_is_chased(scenario):
 
 
 def test_lost_tracking_and_collision_are_told_apart(scenario):
-    flight = interception.fly(again(scenario, target=still(np.array([4.0, 4.0, 1.0]), 1.0)), SILENT).flight
+    flight = interception.fly(again(scenario, target=still(np.array([4.0, 4.0, 1.0]), 1.0))).flight
     rows = len(flight.times)
     lost = flight._replace(position_error=np.where(np.arange(rows) < 50, 0.0, np.nan))
-    judged, outcome = interception._judge(lost, scenario)
-    assert (outcome, len(judged.times)) == ("tracking_lost", 51)
+    decided, outcome = interception._until_decided(lost, scenario)
+    assert (outcome, len(decided.times)) == ("tracking_lost", 51)
     hit = flight._replace(clearance=np.where(np.arange(rows) < 30, 1.0, 0.1))
-    judged, outcome = interception._judge(hit, scenario)
-    assert (outcome, len(judged.times)) == ("collision", 31)
+    decided, outcome = interception._until_decided(hit, scenario)
+    assert (outcome, len(decided.times)) == ("collision", 31)
 
 
 @pytest.mark.parametrize(
@@ -160,14 +157,14 @@ def test_lost_tracking_and_collision_are_told_apart(scenario):
 )
 def test_scenarios_that_do_not_fit_are_refused(options, said):
     with pytest.raises(InputError, match=said):
-        interception.prepare(InterceptConfig(**options))
+        build_scenario(InterceptConfig(**options))
 
 
 def test_target_outside_the_room_is_refused(tmp_path):
     path = tmp_path / "away.csv"
     path.write_text("t,x,y,z\n0,0,1,1\n1,2,1,1\n2,30,1,1\n")
     with pytest.raises(InputError, match="outside world"):
-        interception.prepare(InterceptConfig(target=str(path)))
+        build_scenario(InterceptConfig(target=str(path)))
 
 
 def test_stored_targets_are_free_and_have_the_wanted_speed(scenario):

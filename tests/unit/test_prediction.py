@@ -4,15 +4,18 @@ import jax
 import numpy as np
 import pytest
 
+from jaxplan import config
 from jaxplan.errors import InputError
 from jaxplan.prediction.candidates import candidates_from, reject_early
 from jaxplan.prediction.observations import Observations, first_observation
-from jaxplan.prediction.predictors import PREDICTORS, PredictionConfig, build_predictor, default_spacing
+from jaxplan.prediction.predictors import PREDICTORS, build_predictor
+from jaxplan.prediction.protocol import PredictionConfig
 from jaxplan.prediction.target_model import shipped_model
 from jaxplan.records import replace
 from jaxplan.status import Note, Reason
 from jaxplan.world.load import load_world
 
+UNLEARNED = [name for name, kind in PREDICTORS.items() if not kind.learned]
 CONFIG = PredictionConfig(steps=6, dt=0.2, batch=500, sigma=0.05)
 
 
@@ -38,11 +41,11 @@ def mixture():
 
 def test_spacing_follows_the_size_of_the_room():
     """0.1 s in the room of 10 m, 0.2 s in those of 30 m, and from a diagonal of exactly 20 m on (paper, Sec. IV)."""
-    assert [default_spacing(load_world(name)) for name in ("env1", "env2", "env3")] == [0.1, 0.2, 0.2]
+    assert [PredictionConfig.for_world(load_world(name)).dt for name in ("env1", "env2", "env3")] == [0.1, 0.2, 0.2]
     room = replace(load_world("env1"), bounds=np.array([[0.0, 0.0, 0.0], [12.0, 14.142, 2.0]]))
     edge = replace(room, bounds=np.array([[0.0, 0.0, 0.0], [12.0, 16.0, 1e-9]]), keep_in=0.0)
     assert edge.diagonal == 20.0
-    assert [default_spacing(room), default_spacing(edge)] == [0.1, 0.2]
+    assert [PredictionConfig.for_world(one).dt for one in (room, edge)] == [0.1, 0.2]
 
 
 def test_none_repeats_what_was_seen_last():
@@ -94,7 +97,7 @@ def test_constant_acceleration_is_exact_on_a_parabola():
 
 
 def test_every_predictor_gives_a_distribution():
-    for name in PREDICTORS[:-1]:
+    for name in UNLEARNED:
         prediction = build_predictor(name, CONFIG, truth).predict(watch())
         assert prediction.mean.shape == (6, 3)
         assert np.exp(prediction.log_weights).sum() == pytest.approx(1.0)
@@ -150,7 +153,7 @@ def test_a_silent_target_is_less_certain_and_then_lost(mixture):
     np.testing.assert_allclose(silent.arrival_times, fresh.arrival_times - 0.55)
     ahead = lambda c: c.goals[np.abs(c.arrival_times - 0.55) < 0.051].std(axis=0).max()  # noqa: E731
     assert ahead(silent) > 1.5 * ahead(fresh)
-    for name in PREDICTORS[:-1]:
+    for name in UNLEARNED:
         lost = predict(name, watch(age=1.01))
         assert (lost.reasons == int(Reason.TARGET_LOST)).all()
         assert np.isnan(lost.goals).all()
@@ -166,6 +169,21 @@ def test_nothing_compiles_after_the_first_call(mixture, compilations):
         mixture(watch(keep=3), cycle)
         predict("noisy", cycle=cycle)
     assert compilations.count == 0
+
+
+def test_the_names_that_a_user_can_give_are_those_of_the_table():
+    assert tuple(PREDICTORS) == config.PREDICTORS
+
+
+@pytest.mark.parametrize("name", PREDICTORS)
+def test_what_a_predictor_needs_to_know_must_be_given(name):
+    """And nothing else: with it alone it proposes as many goals as its kind says."""
+    kind = PREDICTORS[name]
+    if name in ("ground-truth", "noisy") or kind.learned:
+        with pytest.raises(InputError, match="train gmm" if kind.learned else "real motion"):
+            build_predictor(name, PredictionConfig())
+    known = {"model": shipped_model("generic", 0.1)} if kind.learned else {"truth": truth}
+    assert len(build_predictor(name, PredictionConfig(), **known)(watch(), 0).goals) == (400 if kind.sampling else 20)
 
 
 def test_unknown_predictor_and_bad_settings_are_refused():

@@ -5,7 +5,9 @@ import pytest
 
 from jaxplan.errors import InputError
 from jaxplan.prediction.gmm import FitConfig, fit_mixture, log_likelihood
-from jaxplan.prediction.windows import WindowConfig, chains, draw_windows, free_distance, walks
+from jaxplan.prediction.waypoints import ChainConfig, WalkConfig, chains, walks
+from jaxplan.prediction.windows import WindowConfig, draw_windows
+from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.load import load_world
 
 
@@ -72,13 +74,13 @@ def test_bad_settings_are_refused(wrong):
 @pytest.fixture(scope="module")
 def windows():
     world, config = load_world("env1"), WindowConfig()
-    return world, config, draw_windows([chains(world, config)], world, 2000, np.random.default_rng(0), config)
+    return world, config, draw_windows([chains(world)], world, 2000, np.random.default_rng(0), config)
 
 
 def test_windows_are_clear_and_within_the_speeds(windows):
     world, config, drawn = windows
     assert drawn.shape == (2000, 30, 3)
-    assert free_distance(world, drawn).min() >= config.margin
+    assert host_free_distance(world, drawn).min() >= config.margin
     speeds = np.linalg.norm(np.diff(drawn, axis=1), axis=-1) / config.dt
     assert speeds.max() <= config.speeds[1] * 1.01  # maximum speeds are sampled
     assert speeds.max(axis=1).min() < 0.5
@@ -95,22 +97,36 @@ def test_windows_are_smooth_minimum_snap_curves(windows):
 
 
 def test_the_same_seed_gives_the_same_windows():
-    config = WindowConfig()
     first, second, other = (
-        draw_windows([walks(config)], None, 300, np.random.default_rng(seed), config) for seed in (1, 1, 2)
+        draw_windows([walks(WalkConfig(waypoints=10))], None, 300, np.random.default_rng(seed)) for seed in (1, 1, 2)
     )
     np.testing.assert_array_equal(first, second)
     assert np.abs(first - other).max() > 0.1
 
 
 def test_a_world_without_room_is_refused():
-    with pytest.raises(InputError, match="roomier"):
-        draw_windows(
-            [chains(load_world("env1"), WindowConfig(margin=1.05))], load_world("env1"), 10, np.random.default_rng(0)
-        )
+    world = load_world("env1")
+    with pytest.raises(InputError, match="places are clear"):
+        draw_windows([chains(world, ChainConfig(margin=1.05))], world, 10, np.random.default_rng(0))
+    with pytest.raises(InputError, match="of 10 windows"):
+        draw_windows([chains(world)], world, 10, np.random.default_rng(0), WindowConfig(margin=1.05))
 
 
-@pytest.mark.parametrize("wrong", [{"dt": 0.0}, {"cuts": 0}, {"speeds": (2.0, 1.0)}, {"margin": np.nan}])
-def test_bad_window_settings_are_refused(wrong):
-    with pytest.raises(InputError):
-        WindowConfig(**wrong)
+@pytest.mark.parametrize(
+    ("kind", "wrong"),
+    [
+        (WindowConfig, {"dt": 0.0}),
+        (WindowConfig, {"cuts": 0}),
+        (WindowConfig, {"keep": 0}),
+        (WindowConfig, {"speeds": (2.0, 1.0)}),
+        (WindowConfig, {"margin": np.nan}),
+        (ChainConfig, {"waypoints": 1}),
+        (ChainConfig, {"step": (0.0, 1.0)}),
+        (ChainConfig, {"ahead": 1.5}),
+        (WalkConfig, {"restlessness": -1.0}),
+        (WalkConfig, {"step": (1.0, np.inf)}),
+    ],
+)
+def test_bad_settings_of_windows_and_waypoints_are_refused(kind, wrong):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        kind(**wrong)

@@ -6,11 +6,11 @@ import pytest
 
 from jaxplan.prediction.mixture import (
     CONDITION_LIMIT,
-    choose,
     condition,
+    conditional_mixture,
     covariance_factors,
+    draw,
     log_density,
-    prepare,
 )
 from jaxplan.prediction.target_model import shipped_model
 from oracles.mixture_conditional import conditional, mixture_log_density
@@ -40,7 +40,7 @@ def blocks(prepared):
 @pytest.mark.parametrize("seed", range(8))
 def test_conditional_equals_scipy(seed):
     weights, means, covariances = random_mixture(seed)
-    prepared = prepare(weights, means, covariance_factors(covariances), 12)
+    prepared = conditional_mixture(weights, means, covariance_factors(covariances), 12)
     observed = means[seed % 5, :12] + 0.05 * np.random.default_rng(seed).standard_normal(12)
     log_weights, centres, _ = jax.jit(condition)(prepared, observed)
     wanted_weights, wanted_centres, wanted_spreads = conditional(weights, means, covariances, observed)
@@ -57,7 +57,7 @@ def test_shipped_models_condition_like_scipy(world, dt):
     q = model.observed
     covariances = model.factors @ model.factors.swapaxes(1, 2)
     observed = model.means[0, :q] + 0.01 * np.random.default_rng(0).standard_normal(q)
-    log_weights, centres, _ = condition(model.prepare(), observed)
+    log_weights, centres, _ = condition(model.conditional(), observed)
     wanted_weights, wanted_centres, _ = conditional(model.weights, model.means, covariances, observed)
     np.testing.assert_allclose(np.exp(log_weights), np.exp(wanted_weights), **REFERENCE)
     flat = np.asarray(centres).transpose(2, 0, 1).reshape(len(wanted_centres), -1)
@@ -67,7 +67,7 @@ def test_shipped_models_condition_like_scipy(world, dt):
 
 def test_log_density_equals_scipy():
     weights, means, covariances = random_mixture(3)
-    prepared = prepare(weights, means, covariance_factors(covariances), 12)
+    prepared = conditional_mixture(weights, means, covariance_factors(covariances), 12)
     observed = means[0, :12]
     log_weights, centres, _ = condition(prepared, observed)
     places = np.random.default_rng(1).standard_normal((4, 7, 3))
@@ -81,11 +81,11 @@ def test_log_density_equals_scipy():
 
 def test_draws_have_the_moments_of_the_mixture():
     weights, means, covariances = random_mixture(5, components=3, condition_number=10.0)
-    prepared = prepare(weights, means, covariance_factors(covariances), 12)
+    prepared = conditional_mixture(weights, means, covariance_factors(covariances), 12)
     log_weights, centres, _ = condition(prepared, means.mean(axis=0)[:12])
     rng, count = np.random.default_rng(2), 200_000
     drawn = np.asarray(
-        choose(log_weights, centres, prepared.factors, rng.random((4, count)), rng.standard_normal((4, count, 3)))
+        draw(log_weights, centres, prepared.factors, rng.random((4, count)), rng.standard_normal((4, count, 3)))
     )
     shares, middles = np.exp(log_weights), np.asarray(centres)
     mean = middles @ shares
@@ -100,7 +100,7 @@ def test_draws_have_the_moments_of_the_mixture():
 
 def test_compiled_and_batched_equal_one_by_one_with_a_bad_lane():
     weights, means, covariances = random_mixture(7)
-    prepared = prepare(weights, means, covariance_factors(covariances), 12)
+    prepared = conditional_mixture(weights, means, covariance_factors(covariances), 12)
     observed = np.random.default_rng(0).standard_normal((6, 12)) * [[0.1], [1.0], [10.0], [100.0], [1.0], [1.0]]
     observed[4, 3] = np.nan
     batched = jax.jit(jax.vmap(condition, in_axes=(None, 0)))(prepared, observed)
@@ -135,13 +135,13 @@ def test_a_million_hostile_cases_and_no_nan(kind):
     covariances = hostile_covariances(kind, rng, observed + 3 * steps)
     means = rng.standard_normal((4, observed + 3 * steps))
     weights = np.array([1.0 - 3e-300, 1e-300, 1e-300, 1e-300])
-    prepared = prepare(weights, means, covariance_factors(covariances), observed)
+    prepared = conditional_mixture(weights, means, covariance_factors(covariances), observed)
 
     @jax.jit
     @jax.vmap
     def whole(seen, uniform, normal):
         log_weights, centres, distance = condition(prepared, seen)
-        places = choose(log_weights, centres, prepared.factors, uniform, normal)
+        places = draw(log_weights, centres, prepared.factors, uniform, normal)
         density = log_density(log_weights, centres, prepared.inverses, prepared.log_volumes, places)
         return log_weights, centres, places, density, distance
 
@@ -176,7 +176,7 @@ def test_means_and_covariances_equal_gmr():
     peer = gmr.GMM(n_components=5, priors=weights, means=means, covariances=covariances)
     observed = means[0, :12]
     other = peer.condition(np.arange(12), observed)
-    prepared = prepare(weights, means, covariance_factors(covariances), 12)
+    prepared = conditional_mixture(weights, means, covariance_factors(covariances), 12)
     _, centres, _ = condition(prepared, observed)
     np.testing.assert_allclose(np.asarray(centres).transpose(2, 0, 1).reshape(5, 12), other.means, **REFERENCE)
     for step in range(4):

@@ -5,7 +5,9 @@ import pytest
 
 from jaxplan.errors import InputError
 from jaxplan.io.targets import load_target, stored_targets
-from jaxplan.prediction.stream import ObservationStream, StreamConfig, interpolate
+from jaxplan.prediction.gating import GateConfig
+from jaxplan.prediction.interpolation import interpolate
+from jaxplan.prediction.stream import ObservationStream, StreamConfig
 
 CONFIG = StreamConfig()
 
@@ -135,10 +137,16 @@ def test_what_cannot_be_taken_is_counted():
     assert len(stream.observe(5.1).times) == 1
 
 
+@pytest.mark.parametrize("position", [[0.0, 1.0], np.zeros((1, 3)), np.zeros(())])
+def test_a_position_of_another_shape_is_refused(position):
+    with pytest.raises(InputError, match="shape"):
+        ObservationStream().add(0.0, position, 0.0)
+
+
 def test_the_memory_is_bounded():
     stream = feed(0.001 * np.arange(6000), np.zeros((6000, 3)))
     assert len(stream._times) <= 1502
-    assert len(stream._verdicts) == len(stream._times)
+    assert len(stream._steps) == len(stream._times)
 
 
 @pytest.mark.parametrize("world", ["env1", "env2", "env3"])
@@ -165,7 +173,16 @@ def test_interpolation_is_exact_for_parabolas_and_through_the_samples():
     np.testing.assert_allclose(interpolate(times, values, times), values, atol=1e-12)
 
 
-@pytest.mark.parametrize("wrong", [{"dt": 0.0}, {"observations": 0}, {"slack": np.nan}, {"relock": 0}])
-def test_bad_settings_are_refused(wrong):
-    with pytest.raises(InputError):
-        StreamConfig(**wrong)
+@pytest.mark.parametrize(
+    ("kind", "wrong"),
+    [
+        (StreamConfig, {"dt": 0.0}),
+        (StreamConfig, {"observations": 0}),
+        (StreamConfig, {"future": -1.0}),
+        (GateConfig, {"slack": np.nan}),
+        (GateConfig, {"relock": 0}),
+    ],
+)
+def test_bad_settings_are_refused(kind, wrong):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        kind(**wrong)

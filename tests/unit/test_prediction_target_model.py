@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from jaxplan.errors import FileError, InputError
-from jaxplan.prediction.predictors import PredictionConfig, build_predictor
+from jaxplan.prediction.predictors import build_predictor
+from jaxplan.prediction.protocol import PredictionConfig
 from jaxplan.prediction.target_model import (
     TargetModel,
     card_path,
@@ -168,13 +169,13 @@ def test_random_damage_never_escapes_as_another_error(saved, tmp_path):
 def test_a_model_for_other_windows_is_refused(saved, wanted, said):
     config = PredictionConfig(**{"steps": 2, "observations": 3, "dt": 0.1, **wanted})
     with pytest.raises(InputError, match=said):
-        build_predictor("gmm", config, None, model=load_model(saved))
+        build_predictor("gmm", config, model=load_model(saved))
 
 
 def test_a_model_of_another_room_is_refused(saved):
     config = PredictionConfig(steps=2, observations=3)
-    build_predictor("gmm", config, None, model=load_model(saved), world=load_world("env1"))
+    build_predictor("gmm", config, model=load_model(saved), world=load_world("env1"))
     with pytest.raises(InputError, match="another"):
-        build_predictor("gmm", config, None, model=load_model(saved), world=load_world("env2"))
+        build_predictor("gmm", config, model=load_model(saved), world=load_world("env2"))
     with pytest.raises(InputError, match="train gmm"):
-        build_predictor("gmm", config, None)
+        build_predictor("gmm", config)

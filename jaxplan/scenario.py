@@ -1,0 +1,167 @@
+"""What one closed-loop episode needs, loaded from its configuration and checked to fit together."""
+
+import dataclasses
+import functools
+from typing import Protocol, runtime_checkable
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from jaxplan.config import InterceptConfig
+from jaxplan.errors import InputError
+from jaxplan.feasibility.checkpoint import load_classifier
+from jaxplan.feasibility.classifier import Classifier
+from jaxplan.io.targets import Target, load_target
+from jaxplan.planner import Planner, PlannerConfig, build_planner
+from jaxplan.policy.checkpoint import load_policy
+from jaxplan.policy.constant_speed import constant_speed_policy
+from jaxplan.policy.protocol import Policy
+from jaxplan.prediction.predictors import PREDICTORS, build_predictor
+from jaxplan.prediction.protocol import PredictionConfig, Predictor, StepPredictor
+from jaxplan.prediction.stream import StreamConfig
+from jaxplan.prediction.target_model import load_model, shipped_model
+from jaxplan.replanner import ReplannerConfig
+from jaxplan.search.lattice import SearchConfig, build_lattices
+from jaxplan.search.start_place import reachable_place
+from jaxplan.spline import FlatState, hover
+from jaxplan.tracking.rollout import CONTROL_RATE, Plant, build_plant
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import Vehicle
+from jaxplan.world.host_distance import host_free_distance
+from jaxplan.world.load import load_world
+from jaxplan.world.obstacles import World
+
+POINTS_AT_ONCE = 1024
+"""Points whose distance to the world is computed in one call (arbitrary)."""
+
+
+@runtime_checkable
+class DistanceFunction(Protocol):
+    """Distance to the nearest obstacle or face of one room, from NumPy to NumPy."""
+
+    def __call__(self, points: Float[np.ndarray, "n 3"], /) -> Float[np.ndarray, "n"]:
+        """Metres from each point [m, world]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Scenario:
+    """Everything an episode needs. Nothing in it changes while it is flown."""
+
+    world: World
+    target: Target
+    vehicle: Vehicle
+    planner: Planner
+    predictor: Predictor
+    plant: Plant
+    start: FlatState
+    """The defender hovers there until it departs."""
+    departure: float
+    """When the first cycle is planned [s]."""
+    seed: int
+    """Of the plant's noise."""
+    clearance: DistanceFunction
+    """Metres from the nearest obstacle or face of the room."""
+    replanning: ReplannerConfig = ReplannerConfig()
+    stream: StreamConfig = StreamConfig()
+    """How what is seen of the target becomes observations."""
+
+    def control_times(self, now: float) -> Float[np.ndarray, "n"]:
+        """Instants of the control steps from one replan to the next [s], both ends included."""
+        steps = round(self.replanning.period * CONTROL_RATE)
+        return now + np.arange(steps + 1) / CONTROL_RATE
+
+
+def build_scenario(config: InterceptConfig, *, exhaustive: bool = False, planner: Planner | None = None) -> Scenario:
+    """Load everything a configuration names and check that it fits together.
+
+    Args:
+        config: what a user has chosen.
+        exhaustive: evaluate every candidate of a cycle, as ``PlannerConfig`` says.
+        planner: taken to this world, with what it has compiled, instead of building the one that is named.
+
+    Raises:
+        InputError, FileError: the configuration, a file, the target or the start cannot be used.
+    """
+    world = load_world(config.world)
+    vehicle = load_vehicle()
+    target = load_target(config.target, world=world.name, speed=config.speed)
+    distance = _distance_in(world)
+    planning = PlannerConfig(exhaustive=exhaustive)
+    _check_target(target, world, distance)
+    start = _start(config, world, target, planning.padding)
+    _check_start(start, world, vehicle, distance)
+    if planner is None:
+        policy, classifier = _policy(config.planner)
+        planner = build_planner(planning, world=world, vehicle=vehicle, policy=policy, classifier=classifier)
+    else:
+        planner = planner.in_world(world)
+    prediction = PredictionConfig.for_world(world)
+    return Scenario(
+        world=world,
+        target=target,
+        vehicle=vehicle,
+        planner=planner,
+        predictor=predictor_for(config, world, target),
+        plant=build_plant(vehicle),
+        start=hover(start),
+        departure=config.departure,
+        seed=config.seed,
+        clearance=distance,
+        stream=StreamConfig(observations=prediction.observations, dt=prediction.dt),
+    )
+
+
+def predictor_for(config: InterceptConfig, world: World, target: Target) -> StepPredictor:
+    """The predictor that was asked for, with the mixture that belongs to the world if it needs one."""
+    prediction, model = PredictionConfig.for_world(world), None
+    if PREDICTORS[config.predictor].learned:
+        own = config.target_model
+        model = shipped_model(config.world, prediction.dt) if own is None else load_model(own)
+    return build_predictor(config.predictor, prediction, target.position, config.seed, model, world)
+
+
+def _distance_in(world: World) -> DistanceFunction:
+    """The world is handed to the device once."""
+    with jax.enable_x64(True):
+        on_device = jax.device_put(world)
+    return functools.partial(host_free_distance, on_device, width=POINTS_AT_ONCE)
+
+
+def _policy(planner: str) -> tuple[Policy, Classifier | None]:
+    """The time allocation that ``--planner`` names, and the classifier that decides what it can fly, if any."""
+    if planner == "no-policy":
+        return constant_speed_policy(), None
+    return load_policy(planner), load_classifier("mfrl") if planner == "mfrl" else None
+
+
+def _start(config: InterceptConfig, world: World, target: Target, padding: float) -> Float[np.ndarray, "3"]:
+    """The start that was asked for, or the world's own, or a free place at some distance from the target."""
+    if config.start is not None:
+        return np.asarray(config.start, dtype=float)
+    if world.start is not None:
+        return np.asarray(world.start, dtype=float)
+    lattices = build_lattices(world, SearchConfig(padding=padding))
+    return reachable_place(lattices, world, target.position(np.array([0.0]))[0])
+
+
+def _check_target(target: Target, world: World, distance: DistanceFunction) -> None:
+    times = np.arange(0.0, target.duration, 0.05)
+    free = distance(target.position(times))
+    if not (free > 0.0).all():
+        first = int(np.argmax(~(free > 0.0)))
+        where = ", ".join(f"{value:.2f}" for value in target.position(times[first : first + 1])[0])
+        raise InputError(
+            f"target {target.name!r}: at t = {times[first]:.2f} s it is at ({where}) m, outside world {world.name!r} "
+            "or inside an obstacle; give a target that flies in this world"
+        )
+
+
+def _check_start(start: Float[np.ndarray, "3"], world: World, vehicle: Vehicle, distance: DistanceFunction) -> None:
+    free, radius = float(distance(start[None])[0]), np.asarray(vehicle.radius).item()
+    if not free >= radius:
+        where = ", ".join(f"{value:.2f}" for value in start)
+        raise InputError(
+            f"start ({where}) m: its clearance in world {world.name!r} is {free:.2f} m, want at least the vehicle's "
+            f"radius {radius:.2f} m; choose --start inside the room and away from obstacles"
+        )
