@@ -38,7 +38,7 @@ class Parts(NamedTuple):
         if len(goals) == 0:
             return reasons.copy()
 
-        def mark(members: Int[np.ndarray, "n"]) -> UInt32[Array, "n"]:
+        def mark(members: Int[np.ndarray, "n"]) -> UInt32[AnyArray, "n"]:
             some = Candidates(
                 goals=goals[members],
                 arrival_times=times[members],
