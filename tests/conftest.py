@@ -18,7 +18,7 @@ from jaxtyping import install_import_hook
 
 CHECKED = os.environ.get("JAXPLAN_TYPECHECK", "")
 if CHECKED:
-    install_import_hook(CHECKED.split(","), "beartype.beartype")
+    install_import_hook(CHECKED.split(","), "annotations.check")
 if os.environ.get("JAXPLAN_STRICT", "0") == "1":
     jax.config.update("jax_numpy_rank_promotion", "raise")
     jax.config.update("jax_numpy_dtype_promotion", "strict")
