@@ -4,7 +4,7 @@
 the alpha iteration repeats. Batch axis last; durations are 0 behind the last real segment.
 """
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from jaxtyping import Array, Float, Int
 
@@ -16,6 +16,7 @@ Context = Any
 """Whatever a policy's encoder hands to its decoder: any pytree."""
 
 
+@runtime_checkable
 class Encode(Protocol):
     """The half that does not depend on the initial state (traced)."""
 
@@ -23,6 +24,7 @@ class Encode(Protocol):
         """Read k sequences of waypoints [m, world], of which ``count`` are in use; the goal repeats behind them."""
 
 
+@runtime_checkable
 class Decode(Protocol):
     """The half that the alpha iteration repeats (traced)."""
 

@@ -6,7 +6,7 @@ classes stay common because flights are tried from too fast to comfortably slow.
 
 import math
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +38,7 @@ class Flights(NamedTuple):
     motion: Float[np.ndarray, "f p n"]
 
 
+@runtime_checkable
 class Solve(Protocol):
     """Flights of given durations."""
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -49,6 +49,7 @@ class _State(NamedTuple):
     optimiser: optax.OptState
 
 
+@runtime_checkable
 class _Advance(Protocol):
     def __call__(self, state: _State, drawn: Labelled, size: int) -> tuple[_State, Float[Array, ""]]:
         """One gradient step on labels drawn from a set of ``size``; also the loss."""

@@ -14,7 +14,7 @@ import math
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import numpy as np
@@ -98,6 +98,7 @@ class Shard(NamedTuple):
     """Rotor-limit label [s] from there; zeros where there is none."""
 
 
+@runtime_checkable
 class Labeller(Protocol):
     """The optimiser's durations at the rotors' limits."""
 
@@ -105,6 +106,7 @@ class Labeller(Protocol):
         """Durations [s], and whether there are any (host)."""
 
 
+@runtime_checkable
 class Each(Protocol):
     """Whoever makes shards, in this process or in others."""
 

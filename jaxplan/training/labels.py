@@ -6,7 +6,7 @@ says how much slower the flight must be for the simulated vehicle to just follow
 """
 
 import dataclasses
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -59,6 +59,7 @@ class Queries(NamedTuple):
     """Yaw, yaw rate and yaw acceleration at the start [rad, s]."""
 
 
+@runtime_checkable
 class Fly(Protocol):
     """The planner's trajectories for given durations, on the host."""
 
@@ -66,6 +67,7 @@ class Fly(Protocol):
         """Trajectories of NumPy arrays, to rest at the goal, for durations [s]."""
 
 
+@runtime_checkable
 class _Inside(Protocol):
     def __call__(self, durations: Float[Array, "m b"], /) -> Bool[Array, "b"]:
         """Whether no rotor leaves its range in flights of these durations [s]."""
@@ -163,7 +165,7 @@ def _smoothest(queries: Queries, total: Float[Array, "b"]) -> Float[Array, "m b"
     settings = TimeAllocationConfig(tolerance=1e-4, max_evaluations=40)
     waypoints, segments, start = (jnp.asarray(a) for a in (queries.waypoints, queries.count - 1, queries.derivatives))
     found = optimise_durations("fixed", None, settings, waypoints, segments, total, start, None)
-    return found.durations
+    return jnp.asarray(found.durations)
 
 
 def _shortest(

@@ -10,7 +10,7 @@ import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -136,6 +136,7 @@ def reinforce(
     return run._replace(model=_calibrated(run, trials))
 
 
+@runtime_checkable
 class _Durations(Protocol):
     def __call__(self, parameters: Any, examples: Examples, /) -> Float[Array, "m n"]:
         """The durations [s] that a policy with these weights gives."""

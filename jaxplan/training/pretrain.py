@@ -7,7 +7,7 @@ import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -69,6 +69,7 @@ class State(NamedTuple):
     step: Int[Array, ""]
 
 
+@runtime_checkable
 class Step(Protocol):
     """One compiled gradient step."""
 
@@ -87,6 +88,7 @@ class Error(NamedTuple):
     """Mean magnitude over all lengths, each counted alike."""
 
 
+@runtime_checkable
 class Measure(Protocol):
     """How far total times are from the labels."""
 

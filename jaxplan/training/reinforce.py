@@ -10,7 +10,7 @@ the same sequence as the baseline; ``gradient``, the reward's own gradient throu
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -82,6 +82,7 @@ class Return(NamedTuple):
     relative_time: Float[Array, ""]
 
 
+@runtime_checkable
 class Probability(Protocol):
     """What says whether flights can be tracked."""
 
@@ -89,6 +90,7 @@ class Probability(Protocol):
         """P(tracked) of b flights (traced)."""
 
 
+@runtime_checkable
 class Climb(Protocol):
     """One compiled step."""
 

@@ -256,7 +256,7 @@ def test_calibration_undoes_a_wrong_scale_and_offset():
     found = calibrate(model, 3.0 * honest + 1.0, np.zeros(4000), feasible)
     assert float(found.process.kernel.own.log_scale) == pytest.approx(-np.log(3.0), abs=0.1)
     assert float(found.process.offset) == pytest.approx(-1.0 / 3.0, abs=0.1)
-    motion = jnp.asarray(learnable(50, 1).motion)
+    motion = learnable(50, 1).motion
     for before, after in zip(latents(model, motion), latents(found, motion), strict=True):
         assert np.corrcoef(before, after)[0, 1] > 0.99
 

@@ -12,7 +12,7 @@ import pytest
 from jaxplan.errors import FileError, InputError
 from jaxplan.policy.network import NetworkConfig, PolicyNetwork
 from jaxplan.precision import in_float64
-from jaxplan.runner.distribute import spread
+from jaxplan.runner.distribute import map_on_workers
 from jaxplan.spline import FlatState
 from jaxplan.training.dataset import (
     DatasetConfig,
@@ -155,7 +155,7 @@ def test_a_dataset_is_made_in_any_order_and_goes_on_where_it_stopped(tmp_path):
 def test_a_shard_is_the_same_from_a_worker(tmp_path):
     config = DatasetConfig(shards=1, seed=4)
     make_dataset(tmp_path / "here", config, each=in_turn)
-    make_dataset(tmp_path / "there", config, each=functools.partial(spread, workers=1))
+    make_dataset(tmp_path / "there", config, each=functools.partial(map_on_workers, workers=1))
     here, there = (read_shard(shard_path(tmp_path / name, 0)) for name in ("here", "there"))
     np.testing.assert_array_equal(here.queries.waypoints, there.queries.waypoints)
     np.testing.assert_array_equal(here.feasible, there.feasible)
