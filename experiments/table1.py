@@ -134,7 +134,7 @@ def items(config: Config) -> list[Item]:
 
 def prepare(config: Config, group: str) -> None:
     for world in dict.fromkeys(episode.world for episode in chosen(config)):
-        closed_loop.prepare(world, group)
+        closed_loop.warm_up(world, group)
 
 
 def evaluate(config: Config, item: Item) -> Row:

@@ -1,5 +1,6 @@
 """The reports of the stored experiments on made-up rows: what stands in them, and what remains where items failed."""
 
+import dataclasses
 import re
 from pathlib import Path
 from types import SimpleNamespace
@@ -39,7 +40,7 @@ def test_the_report_of_made_up_rows_says_what_is_below_the_paper() -> None:
     assert "| pretrained, constant-velocity | 1.000 | 0.51 to 1.00 | - | - | 0 |" in found.markdown
     assert "Extrapolated to 3000 episodes a cell: 3.3 h with one worker, 1.7 h with 2" in found.summary
     assert r"\begin{tabular}" in found.latex
-    cold = report(results._replace(compiled=[True] * 8))
+    cold = report(dataclasses.replace(results, compiled=[True] * 8))
     assert "Every episode compiled something (46 s in all): nothing can be extrapolated." in cold.summary
 
 
