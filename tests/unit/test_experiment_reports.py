@@ -135,3 +135,12 @@ def test_the_policies_are_compared_on_what_is_left(tmp_path: Path) -> None:
     assert "| 100 | - | - | - |" in found.markdown
     found.figures["policy_comparison.png"](tmp_path / "picture.png")
     assert (tmp_path / "picture.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("folder", ["experiments", "benchmarks"])
+def test_what_a_wheel_carries_imports_its_own_folder_relatively(folder: str, repository: Path) -> None:
+    """A wheel has the folder as ``jaxplan/_<folder>``, where no package of its own name is found."""
+    absolute = re.compile(rf"^\s*(?:from|import) {folder}\b", re.MULTILINE)
+    files = sorted((repository / folder).rglob("*.py"))
+    assert len(files) > 5
+    assert [path.name for path in files if absolute.search(path.read_text(encoding="utf-8"))] == []
