@@ -12,6 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxplan.files import write_atomically
 from jaxplan.runner.provenance import commit, processor
 
 PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "numba", "scikit-image", "minsnap-trajectories", "rotorpy")
@@ -32,7 +33,7 @@ def timed(function: Callable[..., Any], *arguments: Any, repeats: int = 20) -> d
 
 def machine() -> dict[str, Any]:
     """Hardware, versions and commit: what a number depends on."""
-    versions = {}
+    versions: dict[str, str | None] = {}
     for package in PACKAGES:
         try:
             versions[package] = metadata.version(package)
@@ -52,7 +53,7 @@ def machine() -> dict[str, Any]:
 def write(path: Path, rows: list[dict[str, Any]]) -> None:
     """The rows with the machine's description, as JSON."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps({"machine": machine(), "rows": rows}, indent=1) + "\n", encoding="utf-8")
+    write_atomically(path, json.dumps({"machine": machine(), "rows": rows}, indent=1) + "\n")
 
 
 def show(rows: list[dict[str, Any]]) -> None:

@@ -9,41 +9,51 @@ one call per problem, without assembling the matrix.
 """
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
+from jaxtyping import Array, Float
 from scipy.linalg import solveh_banded
 
+from jaxplan.arrays import AnyArray
 from jaxplan.minsnap.many import minimum_snap_batch
 from jaxplan.precision import in_float64
 
 from . import _harness
 
 
-def problems(waypoints, batch, dtype):
-    """Random problems in a 10 x 10 x 2 m room."""
+def problems(waypoints: int, batch: int, dtype: DTypeLike) -> tuple[Float[Array, "n 3 b"], Float[Array, "m b"]]:
+    """Waypoints [m] and durations [s] of random problems in a 10 x 10 x 2 m room."""
     rng = np.random.default_rng(0)
     points = rng.uniform(0, 1, (waypoints, 3, batch)) * np.array([10.0, 10, 2])[:, None]
     return jnp.asarray(points, dtype), jnp.asarray(rng.uniform(0.3, 2.0, (waypoints - 1, batch)), dtype)
 
 
-def solve(points, durations):
+def solve(points: Float[Array, "n 3 b"], durations: Float[Array, "m b"]) -> tuple[AnyArray, AnyArray]:
+    """Coefficients and cost."""
     solved = minimum_snap_batch(points, durations)
     return solved.splines.position, solved.cost
 
 
-def cost(points, durations):
+def cost(points: Float[Array, "n 3 b"], durations: Float[Array, "m b"]) -> Float[AnyArray, "b"]:
+    """The snap cost alone."""
     return minimum_snap_batch(points, durations).cost
 
 
-def cost_and_gradient(points, durations):
+def cost_and_gradient(
+    points: Float[Array, "n 3 b"], durations: Float[Array, "m b"]
+) -> tuple[Float[AnyArray, "b"], tuple[Float[Array, "n 3 b"], Float[Array, "m b"]]]:
+    """The snap cost and its gradient by waypoints and durations."""
     value, pullback = jax.vjp(cost, points, durations)
     return value, pullback(jnp.ones_like(value))
 
 
-def scipy_banded(waypoints, repeats):
+def scipy_banded(waypoints: int, repeats: int) -> float | None:
     """Milliseconds per problem of the bare banded solve: 4 unknowns per interior knot, 3 axes."""
     size = 4 * (waypoints - 2)
     if size == 0:
@@ -54,7 +64,7 @@ def scipy_banded(waypoints, repeats):
     return _harness.timed(lambda: solveh_banded(band, right, lower=True), repeats=repeats)["min_ms"]
 
 
-def peers(waypoints, repeats):
+def peers(waypoints: int, repeats: int) -> dict[str, float]:
     """Milliseconds per problem of each installed package."""
     points, durations = (np.asarray(a[..., 0]) for a in problems(waypoints, 1, jnp.float64))
     times = np.concatenate([[0.0], np.cumsum(durations)])
@@ -84,7 +94,8 @@ def peers(waypoints, repeats):
 
 
 @in_float64
-def measure(sizes, batches, repeats):
+def measure(sizes: Sequence[int], batches: Sequence[int], repeats: int) -> list[dict[str, Any]]:
+    """One row for each method, size, batch and dtype."""
     rows = []
     for waypoints in sizes:
         baselines = {"scipy banded": scipy_banded(waypoints, repeats), **peers(waypoints, max(repeats // 4, 1))}
@@ -100,14 +111,14 @@ def measure(sizes, batches, repeats):
                     head = {"method": function.__name__, "waypoints": waypoints, "batch": batch}
                     ratios = {f"times faster than {n}": t / each for n, t in baselines.items() if t is not None}
                     rows.append({**head, "dtype": jnp.dtype(dtype).name, **row, "ms_per_problem": each, **ratios})
-            arrays = [np.asarray(a) for a in problems(waypoints, batch, jnp.float64)]
-            row = _harness.timed(minimum_snap_batch, *arrays, repeats=repeats)
+            on_host = [np.asarray(a) for a in problems(waypoints, batch, jnp.float64)]
+            row = _harness.timed(minimum_snap_batch, *on_host, repeats=repeats)
             head = {"method": "numpy", "waypoints": waypoints, "batch": batch, "dtype": "float64"}
             rows.append({**head, **row, "ms_per_problem": row["min_ms"] / batch})
     return rows
 
 
-def draw(rows, path):
+def draw(rows: list[dict[str, Any]], path: Path) -> None:
     """Time per problem against the waypoints and against the batch."""
     from ._figure import draw_costs
 
@@ -115,7 +126,8 @@ def draw(rows, path):
     draw_costs(ours, [row for row in rows if "batch" not in row], path)
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> list[dict[str, Any]]:
+    """Print the rows and return them; write and draw them where asked to."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--waypoints", type=int, nargs="+", default=[2, 6, 14])
     parser.add_argument("--batches", type=int, nargs="+", default=[1, 400, 4096])

@@ -13,22 +13,25 @@ import argparse
 import dataclasses
 import functools
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 
 from jaxplan import interception
-from jaxplan.config import InterceptConfig
+from jaxplan.config import InterceptConfig, Planner
 from jaxplan.knots import KnotConfig, select_routes
 from jaxplan.minsnap.time_allocation import time_allocation
-from jaxplan.planner import Timer
+from jaxplan.planner import Plans, Timer
 from jaxplan.policy.checkpoint import load_parameters
 from jaxplan.precision import in_float64
-from jaxplan.prediction.candidates import candidates_from
-from jaxplan.scenario import build_scenario
+from jaxplan.prediction.candidates import Candidates, candidates_from
+from jaxplan.scenario import Scenario, build_scenario
 from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes
+from jaxplan.spline import FlatState
 from jaxplan.vehicle.limits import rotor_limit_margin
 
 from . import _harness
@@ -38,11 +41,12 @@ PAPER = {"search + knots": 9.5, "policy": 71.2, "total": 99.4}
 """Milliseconds on the paper's GPU (Table II; the total includes 18.7 ms of prediction)."""
 
 
-def recorded_cycles(scenario, departures):
+def recorded_cycles(scenario: Scenario, departures: Sequence[float]) -> list[tuple[FlatState, Candidates]]:
     """(state, candidates) of every cycle of some episodes."""
-    kept, planner = [], scenario.planner
+    kept: list[tuple[FlatState, Candidates]] = []
+    planner = scenario.planner
 
-    def recording(state, candidates, timer=None):
+    def recording(state: FlatState, candidates: Candidates, timer: Timer | None = None) -> Plans:
         kept.append((state, jax.tree.map(np.asarray, candidates)))
         return planner.plan_batch(state, candidates, timer)
 
@@ -52,19 +56,27 @@ def recorded_cycles(scenario, departures):
     return kept
 
 
-def some_candidates(candidates, count, rng):
+def some_candidates(candidates: Candidates, count: int, rng: np.random.Generator) -> Candidates:
     """``count`` of the candidates; those drawn again are moved a little."""
     lanes = np.resize(rng.permutation(len(candidates.goals)), count)
     moved = rng.normal(scale=0.03, size=(count, 3)) * (np.arange(count) >= len(candidates.goals))[:, None]
     return candidates_from(
-        candidates.target,
-        candidates.goals[lanes] + moved,
-        candidates.arrival_times[lanes],
-        np.log(np.maximum(candidates.likelihood[lanes], 1e-12)),
+        np.asarray(candidates.target),
+        np.asarray(candidates.goals)[lanes] + moved,
+        np.asarray(candidates.arrival_times)[lanes],
+        np.log(np.maximum(np.asarray(candidates.likelihood)[lanes], 1e-12)),
     )
 
 
-def measure(world, policy, counts, departures, cycles, seed=0, optimiser=True):
+def measure(
+    world: str,
+    policy: Planner,
+    counts: Sequence[int],
+    departures: Sequence[float],
+    cycles: int,
+    seed: int = 0,
+    optimiser: bool = True,
+) -> list[dict[str, Any]]:
     """Rows of one environment, with those of the optimiser on the same sequences unless it is left out."""
     config = InterceptConfig(world=world, predictor="noisy", planner=policy, speed=3.0)
     scenario = build_scenario(config)
@@ -94,7 +106,7 @@ def measure(world, policy, counts, departures, cycles, seed=0, optimiser=True):
     return rows + (baseline(scenario, kept) if optimiser else [])
 
 
-def floor(policy, candidates=400, segments=13):
+def floor(policy: str, candidates: int = 400, segments: int = 13) -> dict[str, Any]:
     """The least time of one evaluation of a policy's network: its operations at the rate of a large matrix product.
 
     Nearly every weight is multiplied once for every segment of every candidate; attention is left out.
@@ -112,7 +124,7 @@ def floor(policy, candidates=400, segments=13):
 
 
 @in_float64
-def baseline(scenario, kept):
+def baseline(scenario: Scenario, kept: list[tuple[FlatState, Candidates]]) -> list[dict[str, Any]]:
     """Our own optimiser on the sequences of one cycle."""
     lattices = build_lattices(scenario.world, SearchConfig(padding=0.5))
     select = jax.jit(lambda paths: select_routes(paths, KnotConfig()).knots)
@@ -124,13 +136,15 @@ def baseline(scenario, kept):
     knots = select(paths.points[np.resize(good, len(candidates.goals))])
     waypoints, segments = np.moveaxis(np.asarray(knots.waypoints), 0, -1), np.asarray(knots.count) - 1
     rows = []
-    for name, options in (("optimiser (a)", {"time_weight": 100.0}), ("optimiser (c)", {"margin": margin})):
+    kinds: dict[str, dict[str, Any]] = {"optimiser (a)": {"time_weight": 100.0}, "optimiser (c)": {"margin": margin}}
+    for name, options in kinds.items():
         found = _harness.timed(functools.partial(time_allocation, segments=segments, **options), waypoints, repeats=3)
         rows.append({"world": scenario.world.name, "policy": name, "candidates": len(segments), **found})
     return rows
 
 
-def main(arguments=None):
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the rows; write them where ``--json`` says."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, help="save the rows, with hardware, versions and commit")
     parser.add_argument("--worlds", nargs="+", default=["env1", "env2", "env3"])

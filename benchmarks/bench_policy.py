@@ -6,23 +6,31 @@ Random sequences of 2 to 14 waypoints from random states in flight; arrival time
 """
 
 import argparse
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Array, Float, Int
 
-from jaxplan.arrival import ArrivalConfig, match_arrival
+from jaxplan.arrival import Arrival, ArrivalConfig, match_arrival
 from jaxplan.feasibility.checkpoint import load_classifier
+from jaxplan.feasibility.classifier import Classifier
 from jaxplan.minsnap.spline_batch import fit_each
 from jaxplan.policy.checkpoint import load_policy
+from jaxplan.policy.protocol import Policy
 from jaxplan.spline import FlatState
 from jaxplan.vehicle.identity import require_same_vehicle
 from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import Vehicle
 
 from . import _harness
 
 
-def sequences(lanes, waypoints, rng):
+def sequences(
+    lanes: int, waypoints: int, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "n 3 k"], Int[np.ndarray, "k"]]:
     """Random paths with steps of metres, the goal repeated behind the last waypoint."""
     count = rng.integers(2, waypoints + 1, lanes)
     points = np.cumsum(rng.normal(size=(waypoints, 3, lanes)) * [[2.0], [2.0], [0.3]], axis=0)
@@ -31,7 +39,10 @@ def sequences(lanes, waypoints, rng):
     return points - points[:1], count
 
 
-def measure(policy, classifier, vehicle, lanes, waypoints, repeats):
+def measure(
+    policy: Policy, classifier: Classifier, vehicle: Vehicle, lanes: int, waypoints: int, repeats: int
+) -> Iterator[dict[str, Any]]:
+    """One row for each part, over ``lanes`` candidates of up to ``waypoints`` waypoints."""
     rng = np.random.default_rng(0)
     points, count = sequences(lanes, waypoints, rng)
     derivatives = rng.normal(size=(5, 3)) * np.array([[0.0], [2.0], [3.0], [5.0], [10.0]])
@@ -43,7 +54,7 @@ def measure(policy, classifier, vehicle, lanes, waypoints, repeats):
     times = least * rng.uniform(1.0, 3.0, lanes)
 
     @jax.jit
-    def match(context, times):
+    def match(context: Any, times: Float[Array, "k"]) -> Arrival:
         return match_arrival(lambda s: policy.decode(context, s), state, times, ArrivalConfig())
 
     calls = np.asarray(match(context, times).calls)
@@ -58,14 +69,15 @@ def measure(policy, classifier, vehicle, lanes, waypoints, repeats):
     yield {"part": "classify", **shape, **_harness.timed(classify, splines, repeats=repeats)}
 
 
-def main(arguments=None):
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the rows; write them where ``--json`` says."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, help="save the rows, with hardware, versions and commit")
     parser.add_argument("--policy", default="mfrl")
     parser.add_argument("--classifier", default="mfrl")
     parser.add_argument("--repeats", type=int, default=50)
     chosen = parser.parse_args(arguments)
-    rows = []
+    rows: list[dict[str, Any]] = []
     with jax.enable_x64(True):
         policy, classifier, vehicle = load_policy(chosen.policy), load_classifier(chosen.classifier), load_vehicle()
         require_same_vehicle("classifier", classifier.vehicle, vehicle)

@@ -8,10 +8,13 @@ conditions, draws and scores; ``predictor`` the whole call from observations to 
 
 import argparse
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
@@ -23,13 +26,13 @@ from jaxplan.prediction.mixture_predictor import conditional_draw
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.predictors import build_predictor
 from jaxplan.prediction.protocol import PredictionConfig
-from jaxplan.prediction.target_model import shipped_model, window_coordinates
+from jaxplan.prediction.target_model import TargetModel, shipped_model, window_coordinates
 from jaxplan.world.load import ENVIRONMENTS, load_world
 
 from . import _harness
 
 
-def milliseconds(function, repeats):
+def milliseconds(function: Callable[[int], object], repeats: int) -> list[float]:
     """Of each call, after a first one that is not counted."""
     function(0)
     spent = []
@@ -40,7 +43,13 @@ def milliseconds(function, repeats):
     return spent
 
 
-def scipy_candidates(model, observed, newest, config, rng):
+def scipy_candidates(
+    model: TargetModel,
+    observed: Float[np.ndarray, "q"],
+    newest: Float[np.ndarray, "3"],
+    config: PredictionConfig,
+    rng: np.random.Generator,
+) -> tuple[Float[np.ndarray, "s b 3"], Float[np.ndarray, "s b"]]:
     """The same with covariances, solves and SciPy's densities, for one observation."""
     q = len(observed)
     weights, parts = [], []
@@ -50,8 +59,8 @@ def scipy_candidates(model, observed, newest, config, rng):
         gain = cho_solve(head, covariance[:q, q:]).T
         weights.append(np.log(weight) + multivariate_normal.logpdf(observed, mean[:q], covariance[:q, :q]))
         parts.append((mean[q:] + gain @ (observed - mean[:q]), covariance[q:, q:] - gain @ covariance[:q, q:]))
-    weights = np.array(weights) - logsumexp(weights)
-    chosen = rng.choice(len(weights), (config.steps, config.batch), p=np.exp(weights))
+    logs = np.array(weights) - logsumexp(weights)
+    chosen = rng.choice(len(logs), (config.steps, config.batch), p=np.exp(logs))
     goals = np.empty((config.steps, config.batch, 3))
     density = np.empty((config.steps, config.batch))
     for step in range(config.steps):
@@ -60,12 +69,12 @@ def scipy_candidates(model, observed, newest, config, rng):
             mean, covariance = parts[component]
             goals[step, draw] = rng.multivariate_normal(mean[at], covariance[at, at])
         each = [multivariate_normal.logpdf(goals[step], mean[at], covariance[at, at]) for mean, covariance in parts]
-        density[step] = logsumexp(weights[:, None] + np.array(each), axis=0)
+        density[step] = logsumexp(logs[:, None] + np.array(each), axis=0)
     return goals + newest, density
 
 
 @in_float64
-def measure(world, repeats):
+def measure(world: str, repeats: int) -> list[dict[str, Any]]:
     """One row for each way of doing it."""
     config = PredictionConfig.for_world(load_world(world))
     model = shipped_model(world, config.dt)
@@ -106,7 +115,7 @@ def measure(world, repeats):
     return rows
 
 
-def main(arguments=None):
+def main(arguments: Sequence[str] | None = None) -> None:
     """Print the rows; write them where ``--json`` says."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--world", choices=ENVIRONMENTS, default="env1")

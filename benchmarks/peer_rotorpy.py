@@ -3,14 +3,19 @@
 rotorpy knows neither rotor inertia nor aerodynamic moments, integrates adaptively, and senses without noise or filters.
 """
 
+from typing import Any
+
 import numpy as np
+
+from jaxplan.spline import PiecewisePolynomial
+from jaxplan.vehicle.params import Vehicle
 
 ORDERS = ("x", "x_dot", "x_ddot", "x_dddot", "x_ddddot")
 
 
-def parameters(vehicle):
+def parameters(vehicle: Vehicle) -> dict[str, Any]:
     """rotorpy's dictionary for a vehicle of ours."""
-    positions = {f"r{i + 1}": np.asarray(position) for i, position in enumerate(vehicle.rotor_positions)}
+    positions = {f"r{i + 1}": np.asarray(position) for i, position in enumerate(np.asarray(vehicle.rotor_positions))}
     inertia = dict(zip(("Ixx", "Iyy", "Izz"), np.asarray(vehicle.inertia), strict=True))
     drag = dict.fromkeys(("c_Dx", "c_Dy", "c_Dz"), vehicle.drag_coefficient)
     zeros = dict.fromkeys(("Ixy", "Iyz", "Ixz", "k_d", "k_z", "k_h", "k_flap", "motor_noise_std"), 0.0)
@@ -37,7 +42,7 @@ def parameters(vehicle):
     }
 
 
-def fly(vehicle, spline, rate=200):
+def fly(vehicle: Vehicle, spline: PiecewisePolynomial, rate: int = 200) -> float:
     """Largest position error [m] along a rest-to-rest ``spline``, controlled at ``rate`` Hz."""
     from rotorpy.controllers.quadrotor_control import SE3Control
     from rotorpy.vehicles.multirotor import Multirotor

@@ -14,12 +14,13 @@ from pathlib import Path
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float, Int, UInt32
 
 from jaxplan.arrival import ArrivalConfig, match_arrival
 from jaxplan.arrival import sped_up as sped_up_state
 from jaxplan.errors import InputError
 from jaxplan.policy.checkpoint import load_policy, resolve_policy
+from jaxplan.policy.protocol import Policy
 from jaxplan.precision import in_float64
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
 from jaxplan.runner.tables import as_latex, as_markdown
@@ -28,7 +29,7 @@ from jaxplan.tracking.result import TRAINING
 from jaxplan.tracking.track import track
 from jaxplan.training.dataset import build_flights
 from jaxplan.training.evaluate import policy_durations
-from jaxplan.training.labels import LabelConfig, initial_states, sped_up
+from jaxplan.training.labels import LabelConfig, Queries, initial_states, sped_up
 from jaxplan.training.sequences import free_queries, join, suffix_queries
 from jaxplan.vehicle.identity import require_same_vehicle
 from jaxplan.vehicle.load import load_vehicle
@@ -39,14 +40,16 @@ ALPHAS = np.round(np.arange(0.7, 2.01, 0.1), 2)
 PASSES = 16
 
 
-def sequences(policy, count, rng):
+def sequences(policy: Policy, count: int, rng: np.random.Generator) -> Queries:
     """Half from hover, half from states in flight on the policy's own trajectories."""
     rest = free_queries(rng, count // 2)
     flown = build_flights(LabelConfig())(rest, policy_durations(policy, rest))
     return join([rest, suffix_queries(rng, rest, flown)])
 
 
-def fixed_point_errors(policy, queries, goals):
+def fixed_point_errors(
+    policy: Policy, queries: Queries, goals: Float[np.ndarray, "k"]
+) -> Float[np.ndarray, "passes k"]:
     """The paper's iteration: relative error of the arrival time after each pass."""
     alpha, errors = np.ones(len(goals)), []
     for _ in range(PASSES):
@@ -57,10 +60,18 @@ def fixed_point_errors(policy, queries, goals):
 
 
 @in_float64
-def safeguarded_errors(policy, queries, goals, config):
+def safeguarded_errors(
+    policy: Policy, queries: Queries, goals: Float[np.ndarray, "k"], config: ArrivalConfig
+) -> tuple[Float[np.ndarray, "p k"], Int[np.ndarray, "k"], UInt32[np.ndarray, "k"]]:
     """Ours: the error of each lane after 2, 3, ... passes, the passes it took, and its reasons."""
 
-    def match(state, waypoints, count, goal, passes):
+    def match(
+        state: FlatState,
+        waypoints: Float[Array, "n 3"],
+        count: Int[Array, ""],
+        goal: Float[Array, ""],
+        passes: ArrivalConfig,
+    ) -> tuple[Float[Array, ""], Int[Array, ""], UInt32[Array, ""]]:
         context = policy.encode(waypoints[..., None], count[None])
         found = match_arrival(lambda s: policy.decode(context, s), state, goal[None], passes)
         alpha = found.alpha
@@ -68,8 +79,10 @@ def safeguarded_errors(policy, queries, goals, config):
         return (abs(alpha * total / goal - 1.0))[0], found.calls[0], found.reasons[0]
 
     states = initial_states(queries)
-    one_by_one = FlatState(derivatives=np.moveaxis(states.derivatives, -1, 0), yaw=np.moveaxis(states.yaw, -1, 0))
-    arguments = one_by_one, np.moveaxis(queries.waypoints, -1, 0), queries.count, goals
+    derivatives, yaw, waypoints = (
+        np.moveaxis(np.asarray(leaf), -1, 0) for leaf in (states.derivatives, states.yaw, queries.waypoints)
+    )
+    arguments = FlatState(derivatives=derivatives, yaw=yaw), waypoints, queries.count, goals
     errors = []
     for passes in range(2, PASSES + 1):
         limited = ArrivalConfig(tolerance=config.tolerance, max_calls=passes)
@@ -98,6 +111,7 @@ class Config:
 
 
 def items(config: Config) -> list[Item]:
+    """One item: all sequences are asked for at once."""
     return [Item("sequences", config.policy, {})]
 
 
@@ -132,7 +146,8 @@ def evaluate(config: Config, item: Item) -> Row:
     }
 
 
-def report(results: Results) -> Report:
+def report(results: Results[Config]) -> Report:
+    """The numbers, a row for each alpha, and the picture."""
     (row,) = results.finished_rows()
     curves = {name: np.array(row[name], dtype=float) for name in ("fixed_point", "safeguarded", "times", "tracking")}
     numbers = {name: value for name, value in row.items() if name not in curves}

@@ -32,7 +32,7 @@ PREDICTORS = ("none", "ground-truth", "noisy-0.01", "noisy-0.05", "gmm", "consta
 TIME_WEIGHT = 7.5e4
 """rho of the optimiser [m^2/s^8]: total times from rest are those of an earlier pretrained policy in the median of 200
 random sequences."""
-WARM_UP = ("noisy-0.05", "none")
+WARM_UP_PREDICTORS = ("noisy-0.05", "none")
 """Predictors whose episodes compile nearly all that any episode calls: many candidates and few, met and approached."""
 
 
@@ -69,9 +69,9 @@ def check_names(worlds: tuple[str, ...], planners: tuple[str, ...], predictors: 
             raise InputError(f"--{kind}: have {wrong[0]!r}, want some of {', '.join(known)}")
 
 
-def prepare(world: str, planner: str) -> None:
-    """Load a world and a planner, and fly what compiles most of what their episodes call."""
-    for predictor in WARM_UP[:1] if planner in LAWS else WARM_UP:
+def warm_up(world: str, planner: str) -> None:
+    """Load a world and a planner, and fly the episodes that compile most of what theirs call."""
+    for predictor in WARM_UP_PREDICTORS[:1] if planner in LAWS else WARM_UP_PREDICTORS:
         names = {"world": world, "planner": planner, "predictor": predictor, "target": stored_targets(world)[0]}
         fly(EpisodeConfig(**names, speed=3.0, departure=0.5, seed=0))
 

@@ -4,10 +4,12 @@ jaxplan experiment environments
 """
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
-from jaxplan.io.targets import load_target, stored_targets
+from jaxplan.io.targets import Target, load_target, stored_targets
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
 from jaxplan.runner.tables import as_latex, as_markdown, number
 from jaxplan.viz.world import draw_world_picture
@@ -32,10 +34,12 @@ class Config:
 
 
 def items(config: Config) -> list[Item]:
+    """One item for each world."""
     return [Item(world, world, {"world": world}) for world in config.worlds]
 
 
 def evaluate(config: Config, item: Item) -> Row:
+    """Size, obstacles and targets of a world."""
     name = item.values["world"]
     world, targets = load_world(name), [load_target(t, world=name, speed=config.speed) for t in stored_targets(name)]
     lengths = [np.linalg.norm(np.diff(target.position(_times(target)), axis=0), axis=1).sum() for target in targets]
@@ -51,7 +55,8 @@ def evaluate(config: Config, item: Item) -> Row:
     }
 
 
-def report(results: Results) -> Report:
+def report(results: Results[Config]) -> Report:
+    """A line and a picture for each world."""
     rows = results.finished_rows()
     header = ["world", "size [m]", "obstacles", "kept out of", "targets", "mean length [m]", "mean duration [s]"]
     columns = ("world", "size_m", "obstacles", "occupied_share", "targets", "mean_length_m", "mean_duration_s")
@@ -67,15 +72,15 @@ def report(results: Results) -> Report:
     )
 
 
-def _text(value):
+def _text(value: float | str | None) -> str:
     return number(value, ".3g") if value is None or isinstance(value, float) else str(value)
 
 
-def _times(target):
+def _times(target: Target) -> Float[np.ndarray, "n"]:
     return np.linspace(0.0, target.duration, 400)
 
 
-def _draw(name, path):
+def _draw(name: str, path: Path) -> None:
     targets = [load_target(target, world=name) for target in stored_targets(name)]
     draw_world_picture(load_world(name), path, {target.name: target.position(_times(target)) for target in targets})
 

@@ -11,19 +11,22 @@ proportional to distance: only the shape matters, since a target is time-scaled 
 
 import itertools
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import cyclopts
 import jax
 import numpy as np
+from jaxtyping import Float
 
 import jaxplan
 from jaxplan.io.targets import target_spline
 from jaxplan.precision import in_float64
-from jaxplan.search.lattice import SearchConfig, build_lattices
+from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes
 from jaxplan.world.clearance import free_distance
 from jaxplan.world.load import load_world
+from jaxplan.world.obstacles import World
 
 MARGIN = 0.5
 """Least distance [m] from obstacles and faces (so that goals on the trajectory are free in the padded map)."""
@@ -35,13 +38,15 @@ ROUTED_WAYPOINTS = 12
 """Points along the three routes, about 3 m apart in the larger rooms; one number, so that the solver compiles once."""
 
 
-def distance_function(world):
+def distance_function(world: World) -> Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n"]]:
     """Distance [m] to the nearest obstacle or face, compiled once for each number of points."""
     compiled = jax.jit(lambda points: free_distance(world, points))
     return in_float64(lambda points: np.asarray(compiled(points)))
 
 
-def draw_waypoints(pool, rng, count):
+def draw_waypoints(
+    pool: Float[np.ndarray, "p 3"], rng: np.random.Generator, count: int
+) -> Float[np.ndarray, "count 3"]:
     """A random chain of points of the ``pool`` with steps of moderate length."""
     chain = [rng.integers(len(pool))]
     while len(chain) < count:
@@ -50,7 +55,9 @@ def draw_waypoints(pool, rng, count):
     return pool[chain]
 
 
-def routed_waypoints(world, lattices, pool, rng):
+def routed_waypoints(
+    world: World, lattices: Lattices, pool: Float[np.ndarray, "p 3"], rng: np.random.Generator
+) -> Float[np.ndarray, "n 3"] | None:
     """Points along the way over three far places; None where no way leads to one of them."""
     places = pool[rng.integers(len(pool), size=1)]
     while len(places) < 4:
@@ -69,7 +76,9 @@ def routed_waypoints(world, lattices, pool, rng):
     return np.stack([np.interp(even, travelled, path[:, axis]) for axis in range(3)], axis=1)
 
 
-def trajectory(world, rng, routed, waypoints=7):
+def trajectory(
+    world: World, rng: np.random.Generator, routed: bool, waypoints: int = 7
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "m"]]:
     """Waypoints and durations of the first random trajectory that stays free."""
     distance = distance_function(world)
     lower, upper = np.asarray(world.bounds)
@@ -77,12 +86,15 @@ def trajectory(world, rng, routed, waypoints=7):
     pool = pool[distance(pool) > MARGIN + 0.1]
     lattices = build_lattices(world, SearchConfig(padding=MARGIN + 0.3)) if routed else None
     while True:
-        chain = routed_waypoints(world, lattices, pool, rng) if routed else draw_waypoints(pool, rng, waypoints)
+        if lattices is None:
+            chain: Float[np.ndarray, "n 3"] | None = draw_waypoints(pool, rng, waypoints)
+        else:
+            chain = routed_waypoints(world, lattices, pool, rng)
         if chain is None:
             continue
         durations = np.linalg.norm(np.diff(chain, axis=0), axis=1)
         spline = target_spline(chain, durations)
-        curve = spline.evaluate(np.linspace(0.0, float(spline.duration), 1000))[:, :3]
+        curve = np.asarray(spline.evaluate(np.linspace(0.0, float(spline.duration), 1000)))[:, :3]
         if distance(curve).min() >= MARGIN:
             return chain, durations
 

@@ -12,13 +12,15 @@ import itertools
 import time
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxplan.errors import InputError
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
 from jaxplan.runner.tables import as_latex, as_markdown, number
-from jaxplan.search.lattice import SearchConfig, build_lattices
+from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes, warmup
 from jaxplan.world.load import ENVIRONMENTS, load_world
+from jaxplan.world.obstacles import World
 
 from .closed_loop import check_names
 from .figures.multi_resolution import draw_multi_resolution
@@ -55,6 +57,7 @@ class Config:
 
 
 def items(config: Config) -> list[Item]:
+    """One item for each world."""
     return [Item(world, world, {"world": world}) for world in config.worlds]
 
 
@@ -76,7 +79,9 @@ def evaluate(config: Config, item: Item) -> Row:
     return {"rows": rows}
 
 
-def _pair(free, diagonal, rng):
+def _pair(
+    free: Float[np.ndarray, "n 3"], diagonal: float, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Two free places whose distance is about even over the logarithm of the shares of the diagonal."""
     wanted = diagonal * np.exp(rng.uniform(np.log(0.04), np.log(0.8)))
     start = free[rng.integers(len(free))]
@@ -84,7 +89,14 @@ def _pair(free, diagonal, rng):
     return start, others[np.argmin(np.abs(np.linalg.norm(others - start, axis=1) - wanted))]
 
 
-def _search(lattices, world, start, goals, distance):
+def _search(
+    lattices: Lattices,
+    world: World,
+    start: Float[np.ndarray, "3"],
+    goals: Float[np.ndarray, "k 3"],
+    distance: float,
+) -> tuple[float, Float[np.ndarray, "k"]]:
+    """The best of several times [ms], and the lengths of the paths [m]; NaN where there is none."""
     spent = []
     for _ in range(REPEATS):
         began = time.perf_counter()
@@ -93,7 +105,8 @@ def _search(lattices, world, start, goals, distance):
     return min(spent), np.where(np.asarray(paths.reasons) == 0, np.asarray(paths.length), np.nan)
 
 
-def _compared(found):
+def _compared(found: dict[str, tuple[float, Float[np.ndarray, "k"]]]) -> Row:
+    """The two ways beside each other, for one search."""
     (multi_ms, multi), (finest_ms, finest) = found["multi"], found["finest"]
     both = np.isfinite(multi) & np.isfinite(finest) & (finest > 0.0)
     ratio = multi[both] / finest[both]
@@ -107,7 +120,8 @@ def _compared(found):
     }
 
 
-def report(results: Results) -> Report:
+def report(results: Results[Config]) -> Report:
+    """A line for each of the paper's bins of the distance, and the picture."""
     rows = [line for row in results.finished_rows() for line in row["rows"]]
     header = ["distance, share of the diagonal", "searches", "multi-resolution [ms]", "finest [ms]", "length ratio"]
     header += ["found by both / by the finest"]
@@ -123,8 +137,8 @@ def report(results: Results) -> Report:
             [
                 f"{low:g} to {high:g}",
                 str(len(mine)),
-                _spread(multi),
-                _spread(finest),
+                _median_and_largest(multi),
+                _median_and_largest(finest),
                 number(float(np.mean(ratios)) if ratios else None),
                 f"{found[0]} / {found[1]}",
             ]
@@ -141,7 +155,7 @@ def report(results: Results) -> Report:
     )
 
 
-def _spread(values: list[float]) -> str:
+def _median_and_largest(values: list[float]) -> str:
     return f"{np.median(values):.1f} / {np.max(values):.1f}"
 
 

@@ -13,6 +13,7 @@ import json
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -77,10 +78,12 @@ class Config:
 
 
 def items(config: Config) -> list[Item]:
+    """One item for each width."""
     return [Item(f"hidden {width}", "sizes", {"hidden": width}) for width in config.hidden]
 
 
 def evaluate(config: Config, item: Item) -> Row:
+    """Train a network of this width, then measure its error and its time."""
     width = item.values["hidden"]
     network = NetworkConfig(hidden=width, attention=width // 2, latent=width // 2)
     settings = PretrainConfig(
@@ -114,7 +117,7 @@ def _own(shards: int) -> tempfile.TemporaryDirectory:
     return kept
 
 
-def _timed(config, network, parameters):
+def _timed(config: Config, network: NetworkConfig, parameters: Any) -> Row:
     """Median milliseconds of encoding with one pass, and of a pass, over held-out sequences."""
     policy, held_out = neural_policy("sized", network, parameters), load_examples(_data(config), held_out=True)
     longest = np.argsort(-held_out.count, kind="stable")
@@ -133,7 +136,8 @@ def _timed(config, network, parameters):
     return {"evaluation_ms": 1e3 * float(np.median(whole[1:])), "pass_ms": 1e3 * float(np.median(each[1:]))}
 
 
-def report(results: Results) -> Report:
+def report(results: Results[Config]) -> Report:
+    """A line for each width, and the picture."""
     rows = results.finished_rows()
     header = ["hidden", "weights", "held-out error [%]", "evaluation [ms]", "decoder pass [ms]"]
     lines = [

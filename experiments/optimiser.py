@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxplan.arrays import AnyArray
 from jaxplan.minsnap.time_allocation import TimeAllocationConfig, optimise_durations
 from jaxplan.policy.protocol import Policy
 from jaxplan.spline import FlatStateBatch
@@ -16,14 +17,16 @@ def optimiser_policy(time_weight: float, config: TimeAllocationConfig | None = N
     """
     settings = config or TimeAllocationConfig(tolerance=1e-4, max_evaluations=40)
 
-    def encode(waypoints: Float[Array, "n 3 k"], count: Int[Array, "k"]) -> tuple[Array, Array]:
-        return waypoints, jnp.asarray(count)
+    def encode(
+        waypoints: Float[AnyArray, "n 3 k"], count: Int[AnyArray, "k"]
+    ) -> tuple[Float[Array, "n 3 k"], Int[Array, "k"]]:
+        return jnp.asarray(waypoints), jnp.asarray(count)
 
     def decode(context: tuple[Array, Array], initial: FlatStateBatch) -> Float[Array, "m k"]:
         waypoints, count = context
         weight = jnp.full(waypoints.shape[-1], time_weight, waypoints.dtype)
         found = optimise_durations(
-            "weighted", None, settings, waypoints, count - 1, weight, initial.derivatives[1:], None
+            "weighted", None, settings, waypoints, count - 1, weight, jnp.asarray(initial.derivatives)[1:], None
         )
         real = jnp.arange(len(waypoints) - 1)[:, None] < count - 1
         return jnp.where(jnp.isfinite(found.cost), found.durations, jnp.where(real, jnp.inf, 0.0))

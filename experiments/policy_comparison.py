@@ -14,11 +14,13 @@ import functools
 import itertools
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from jaxplan.errors import InputError
 from jaxplan.feasibility.classifier import make_classifier
 from jaxplan.feasibility.features import low_fidelity
 from jaxplan.policy.checkpoint import load_policy, resolve_policy
+from jaxplan.policy.protocol import Policy
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
 from jaxplan.runner.statistics import wilson
 from jaxplan.runner.tables import as_latex, as_markdown, number
@@ -26,18 +28,22 @@ from jaxplan.tracking.result import TRAINING
 from jaxplan.tracking.track import track
 from jaxplan.training import active
 from jaxplan.training.classifier import ClassifierConfig, Labelled, train_classifier
-from jaxplan.training.dataset import DatasetConfig, build_flights, build_labels, make_shard
+from jaxplan.training.dataset import DatasetConfig, Labeller, build_flights, build_labels, make_shard
 from jaxplan.training.evaluate import policy_durations
+from jaxplan.training.labels import Fly, Queries
 from jaxplan.training.scores import area_under_curve
 from jaxplan.training.sequences import take
 from jaxplan.vehicle.identity import require_same_vehicle
 from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.params import Vehicle
 
 from .figures.policy_comparison import draw_policy_comparison
 
 SEEDS = 1_000_000
 """Added to the seed: no training set is made from as large a one."""
 ALONE, RELATED = "rollouts alone", "with rotor margins"
+Merged = dict[str, np.ndarray]
+"""Columns of flights."""
 FIDELITIES = {ALONE: False, RELATED: True}
 
 
@@ -79,6 +85,7 @@ class Config:
 
 
 def items(config: Config) -> list[Item]:
+    """The shards of flights, then every point and draw of the learning curve."""
     flown = [Item(f"shard {index}", "flights", {"shard": index}) for index in range(config.shards)]
     cells = itertools.product(config.labels, FIDELITIES, range(config.repeats))
     return flown + [
@@ -88,6 +95,7 @@ def items(config: Config) -> list[Item]:
 
 
 def evaluate(config: Config, item: Item) -> Row:
+    """The flights of one shard by everyone, or one point of the learning curve."""
     if item.group == "curve":
         return _curve(config, item.values["labels"], FIDELITIES[item.values["kind"]], item.values["draw"])
     queries, limits = _sequences(config, item.values["shard"])
@@ -98,12 +106,13 @@ def evaluate(config: Config, item: Item) -> Row:
 
 
 @functools.cache
-def _tools():
+def _tools() -> tuple[Vehicle, DatasetConfig, Labeller, Fly]:
+    """What is compiled once in a process."""
     vehicle, config = load_vehicle(), DatasetConfig()
     return vehicle, config, build_labels(vehicle, config.labels), build_flights(config.labels)
 
 
-def _policy(name):
+def _policy(name: str) -> Policy:
     """A policy that was made for the vehicle that flies."""
     policy, (vehicle, *_) = load_policy(name), _tools()
     require_same_vehicle(f"policy {name!r}", policy.vehicle, vehicle)
@@ -111,7 +120,7 @@ def _policy(name):
 
 
 @functools.cache
-def _sequences(config, shard):
+def _sequences(config: Config, shard: int) -> tuple[Queries, Float[np.ndarray, "m b"]]:
     """Labelled sequences of new rooms: queries and durations at the rotors' limits."""
     _, made, label, fly = _tools()
     seeded = dataclasses.replace(made, seed=SEEDS + config.seed)
@@ -120,8 +129,8 @@ def _sequences(config, shard):
     return take(found.queries, good), found.durations[:, good]
 
 
-def _flown(queries, durations):
-    """Total times, tracking errors and verdicts, as lists."""
+def _flown(queries: Queries, durations: Float[np.ndarray, "m b"]) -> Row:
+    """Total times [s], tracking errors [m] and whether each flight was tracked, as lists."""
     vehicle, _, _, fly = _tools()
     result = track(fly(queries, durations), vehicle=vehicle, indices=10**6 + np.arange(len(queries.count)))
     return {
@@ -132,7 +141,7 @@ def _flown(queries, durations):
 
 
 @functools.cache
-def _near_the_boundary(config, shard):
+def _near_the_boundary(config: Config, shard: int) -> Labelled:
     """Motions of the last policy's flights, too fast to comfortable, and whether a rollout tracked them."""
     vehicle, made, _, _ = _tools()
     queries, _ = _sequences(config, shard)
@@ -146,7 +155,7 @@ def _near_the_boundary(config, shard):
     return Labelled(*(np.concatenate(columns, axis=-1) for columns in zip(*tries, strict=True)))
 
 
-def _curve(config, count, related, draw):
+def _curve(config: Config, count: int, related: bool, draw: int) -> Row:
     """Area under the curve on rooms held out, of a classifier that saw ``count`` rollouts of the others."""
     seen, unseen = (_near_the_boundary(config, config.shards + part) for part in (0, 1))
     if count > len(seen.feasible):
@@ -156,13 +165,14 @@ def _curve(config, count, related, draw):
     some = np.random.default_rng([config.seed, draw]).permutation(len(seen.feasible))[:count]
     settings = ClassifierConfig(steps=config.steps, related_to_low=related, seed=draw)
     model, _ = train_classifier(settings, Labelled(seen.motion[..., some], seen.feasible[some]))
-    chance = active.probabilities(make_classifier(model), unseen.motion)
+    chance = active.probabilities(make_classifier(model), np.asarray(unseen.motion))
     margin = np.asarray(low_fidelity(unseen.motion))[0]
-    auc, without_rollouts = (area_under_curve(score, unseen.feasible) for score in (chance, margin))
+    auc, without_rollouts = (area_under_curve(score, np.asarray(unseen.feasible)) for score in (chance, margin))
     return {"labels": count, "related": related, "auc": auc, "margin_alone": without_rollouts}
 
 
-def report(results: Results) -> Report:
+def report(results: Results[Config]) -> Report:
+    """A line for each policy, the learning curve, and the picture."""
     config = results.config
     rows = [(item, row) for item, row in zip(results.items, results.rows, strict=True) if row is not None]
     flown = results.finished_rows("flights")
@@ -209,11 +219,13 @@ def report(results: Results) -> Report:
     )
 
 
-def _merged(flown, name):
+def _merged(flown: list[Row], name: str) -> Merged:
+    """The flights of all shards by the one called ``name``: ``time``, ``error`` and ``tracked``."""
     return {key: np.concatenate([np.asarray(row[name][key]) for row in flown]) for key in ("time", "error", "tracked")}
 
 
-def _summary(name, mine, label):
+def _summary(name: str, mine: Merged, label: Merged) -> Row:
+    """A line of the table."""
     failed, count = int((~mine["tracked"]).sum()), len(mine["tracked"])
     low, high = wilson(failed, count)
     relative = mine["time"] / label["time"]
@@ -229,7 +241,7 @@ def _summary(name, mine, label):
     }
 
 
-def _needed(curve, count):
+def _needed(curve: dict[str, dict[int, float]], count: int) -> str:
     """How many rollouts with margins rank as well as ``count`` alone: interpolated, and as a share of ``count``."""
     known = sorted(curve[RELATED])
     wanted, reached = curve[ALONE].get(count), np.maximum.accumulate([curve[RELATED][labels] for labels in known])
@@ -243,7 +255,8 @@ def _needed(curve, count):
     return f"{labels:.0f} ({labels / count:.2f})"
 
 
-def _by_length(waypoints, failed):
+def _by_length(waypoints: Int[np.ndarray, "n"], failed: Bool[np.ndarray, "n"]) -> dict[int, float]:
+    """The share of flights that failed, by their number of waypoints."""
     return {int(n): float(failed[waypoints == n].mean()) for n in np.unique(waypoints)}
 
 

@@ -9,10 +9,12 @@ to 0.1 s and predicted with the generic mixture.
 
 import dataclasses
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from jaxplan.errors import InputError
 from jaxplan.io.target_log import read_target_log, resample
@@ -23,11 +25,12 @@ from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.predictors import PREDICTORS, build_predictor
 from jaxplan.prediction.protocol import PredictionConfig
 from jaxplan.prediction.scores import observe_windows, score
-from jaxplan.prediction.target_model import shipped_model
+from jaxplan.prediction.target_model import TargetModel, shipped_model
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
 from jaxplan.runner.tables import as_latex, number
 from jaxplan.runner.tables import as_markdown as markdown_table
 from jaxplan.world.load import load_world
+from jaxplan.world.obstacles import World
 
 from .figures.prediction import PredictionPanel, draw_predictions
 
@@ -42,7 +45,9 @@ PADDING, MAX_SPEED = 0.5, 8.0
 """As in ``PlannerConfig``: clearance of goals [m], and the speed [m/s] that says what is out of reach."""
 
 
-def stored_windows(world, dt, count, rng, length=30):
+def stored_windows(
+    world: str, dt: float, count: int, rng: np.random.Generator, length: int = 30
+) -> Float[np.ndarray, "k length 3"]:
     """``count`` windows of the stored targets, the same number at every speed."""
     windows = []
     for speed in SPEEDS:
@@ -52,22 +57,26 @@ def stored_windows(world, dt, count, rng, length=30):
             starts = np.arange(0.0, target.duration - (length - 1) * dt, 0.1)
             times = starts[:, None] + dt * np.arange(length)
             cuts.append(target.position(times.reshape(-1)).reshape(-1, length, 3))
-        cuts = np.concatenate(cuts)
-        windows.append(cuts[rng.permutation(len(cuts))[: count // len(SPEEDS)]])
+        joined = np.concatenate(cuts)
+        windows.append(joined[rng.permutation(len(joined))[: count // len(SPEEDS)]])
     return np.concatenate(windows)
 
 
-def recorded_windows(path, count, rng, length=30):
+def recorded_windows(
+    path: Path, count: int, rng: np.random.Generator, length: int = 30
+) -> Float[np.ndarray, "k length 3"]:
     """``count`` windows of a recorded flight, or all there are."""
     even = resample(read_target_log(path), FLIGHT_INTERVAL).positions
     starts = rng.permutation(max(0, len(even) - length + 1))[:count]
     return even[starts[:, None] + np.arange(length)]
 
 
-def rows_of(name, windows, dt, model, world):
+def rows_of(
+    name: str, windows: Float[np.ndarray, "k length 3"], dt: float, model: TargetModel, world: World | None
+) -> Iterator[Row]:
     """Every predictor on the windows of one column."""
     config = PredictionConfig(dt=dt)
-    future = {}
+    future: dict[str, Float[np.ndarray, "steps 3"]] = {}
     seen, futures = observe_windows(windows, config.observations, dt)
     for kind in PREDICTORS:
         predictor = build_predictor(kind, config, lambda times: future["positions"], model=model, world=world)
@@ -84,7 +93,7 @@ def rows_of(name, windows, dt, model, world):
         yield {"column": name, "predictor": kind, "windows": len(windows), **summary, "ms": float(np.median(spent))}
 
 
-def panels(world, dt):
+def panels(world: str, dt: float) -> Iterator[PredictionPanel]:
     """What the predictors propose at the moment shown, for a defender where the world's defender starts."""
     name, speed, now = MOMENTS[world]
     room, config = load_world(world), PredictionConfig(dt=dt)
@@ -98,10 +107,11 @@ def panels(world, dt):
         candidates = build_predictor(kind, config, target.position, model=model, world=room)(seen, 0)
         reasons = np.asarray(rejected(candidates, room, np.asarray(room.start), PADDING, MAX_SPEED).reasons)
         title = f"{world}, {kind}: {np.count_nonzero(reasons == 0)} of {len(reasons)} usable"
-        yield PredictionPanel(title, candidates.goals, candidates.arrival_times, reasons == 0, seen.positions, future)
+        goals, times = np.asarray(candidates.goals), np.asarray(candidates.arrival_times)
+        yield PredictionPanel(title, goals, times, reasons == 0, seen.positions, future)
 
 
-def as_markdown(rows):
+def as_markdown(rows: list[Row]) -> str:
     """Two tables, predictors by columns: how far off, and how honest."""
     columns = {row["column"]: row["windows"] for row in rows}
     cells = {(row["predictor"], row["column"]): row for row in rows}
@@ -150,6 +160,7 @@ def items(config: Config) -> list[Item]:
 
 
 def evaluate(config: Config, item: Item) -> Row:
+    """Errors of every predictor on one column."""
     column, rng = item.values["column"], np.random.default_rng(config.seed)
     if column in INTERVALS:
         dt = INTERVALS[column]
@@ -160,7 +171,8 @@ def evaluate(config: Config, item: Item) -> Row:
     return {"rows": list(rows_of(path.stem, cut, FLIGHT_INTERVAL, generic, None))}
 
 
-def report(results: Results) -> Report:
+def report(results: Results[Config]) -> Report:
+    """Two tables, and the picture of what each predictor proposes."""
     rows = [line for row in results.finished_rows() for line in row["rows"]]
     shown = [(load_world(world), list(panels(world, dt))) for world, dt in INTERVALS.items()]
     header = ["column, predictor", "ADE [m]", "FDE [m]"]

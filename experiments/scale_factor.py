@@ -17,8 +17,9 @@ from jaxplan.errors import InputError
 from jaxplan.minsnap.single import minimum_snap
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
 from jaxplan.runner.tables import as_latex, as_markdown, number
+from jaxplan.spline import PiecewisePolynomial
 from jaxplan.tracking.fidelity import build_labeller
-from jaxplan.tracking.result import TRAINING
+from jaxplan.tracking.result import TRAINING, TrackingResult
 from jaxplan.tracking.track import TrackConfig, track
 
 from .figures.scale_factor import draw_scale_factor
@@ -28,7 +29,7 @@ BISECTIONS = 12
 """Halvings of log alpha over a range of 100: the boundary is found to 0.1 %."""
 
 
-def random_trajectories(count, waypoints, rng):
+def random_trajectories(count: int, waypoints: int, rng: np.random.Generator) -> list[PiecewisePolynomial]:
     """Rest to rest through ``waypoints`` points with steps of up to 3 m an axis, yaw along with chance."""
     chains = np.cumsum(rng.uniform(-3.0, 3.0, (count, waypoints, 3)), axis=1)
     headings = np.cumsum(rng.uniform(-0.5, 0.5, (count, waypoints)), axis=1)
@@ -36,7 +37,7 @@ def random_trajectories(count, waypoints, rng):
     return [minimum_snap(c, step, yaw=yaw) for c, step, yaw in zip(chains, steps, headings, strict=True)]
 
 
-def at_the_boundary(splines):
+def at_the_boundary(splines: list[PiecewisePolynomial]) -> list[PiecewisePolynomial]:
     """Each spline at the fastest dilation that the rotors allow; feasible stays feasible when slowed, nearly always."""
     within = build_labeller("rotor-limits")
     low, high = np.full(len(splines), -np.log(10.0)), np.full(len(splines), np.log(10.0))
@@ -47,8 +48,8 @@ def at_the_boundary(splines):
     return [spline.dilate(alpha) for spline, alpha in zip(splines, np.exp(high), strict=True)]
 
 
-def statistics(result):
-    """Mean and standard deviation over the flights that stayed finite, and how many did."""
+def statistics(result: TrackingResult) -> Row:
+    """Mean and standard deviation over the flights that were not lost, and how many were; None over no flights."""
     flown = np.isfinite(result.max_position_error) & np.isfinite(result.max_yaw_error)
     flown &= result.max_position_error < 5.0  # lost: its error says only how far it fell
     position, yaw = result.max_position_error[flown], np.degrees(result.max_yaw_error[flown])
@@ -86,6 +87,7 @@ class Config:
 
 
 def items(config: Config) -> list[Item]:
+    """One item: all flights are tracked at once."""
     return [Item("flights", config.controller, {})]
 
 
@@ -101,11 +103,13 @@ def evaluate(config: Config, item: Item) -> Row:
     return {"rows": rows}
 
 
-def _part(result, part):
+def _part(result: TrackingResult, part: slice) -> TrackingResult:
+    """Some of the flights."""
     return type(result)(**{name: values[part] for name, values in vars(result).items()})
 
 
-def report(results: Results) -> Report:
+def report(results: Results[Config]) -> Report:
+    """A line for each alpha, and the picture."""
     (found,) = results.finished_rows()
     rows = found["rows"]
     header = [name.replace("_", " ") for name in rows[0]]

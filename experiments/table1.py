@@ -133,11 +133,13 @@ def items(config: Config) -> list[Item]:
 
 
 def prepare(config: Config, group: str) -> None:
+    """Compile what the episodes of one planner call, in every world."""
     for world in dict.fromkeys(episode.world for episode in chosen(config)):
-        closed_loop.prepare(world, group)
+        closed_loop.warm_up(world, group)
 
 
 def evaluate(config: Config, item: Item) -> Row:
+    """Fly one episode."""
     episode = EpisodeConfig(**item.values)
     return {**item.values, **closed_loop.numbers(closed_loop.fly(episode))}
 

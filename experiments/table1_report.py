@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,25 +35,30 @@ class Cell(NamedTuple):
 
     @property
     def good(self) -> int:
+        """Episodes that ended with an interception."""
         return sum(row["outcome"] == SUCCESS for row in self.rows)
 
     @property
     def share(self) -> float:
+        """Their share of all."""
         return self.good / max(len(self.rows), 1)
 
     @property
     def interval(self) -> tuple[float, float]:
+        """The share's 95 % interval."""
         return wilson(self.good, len(self.rows))
 
     @property
     def paper(self) -> float | None:
+        """The paper's share; None where it has no such cell."""
         return PAPER.get(self.planner, {}).get(self.predictor)
 
-    def failures(self) -> Counter:
+    def failures(self) -> Counter[str]:
+        """How the other episodes ended, and how often."""
         return Counter(row["outcome"] for row in self.rows if row["outcome"] != SUCCESS)
 
 
-def report(results: Results) -> Report:
+def report(results: Results[Any]) -> Report:
     """Tables, pictures and times."""
     rows = results.finished_rows()
     cells = by_cell(rows)
@@ -166,7 +171,7 @@ def _lines(cells: list[Cell]) -> list[Line]:
     return lines
 
 
-def _times(results: Results) -> str:
+def _times(results: Results[Any]) -> str:
     """What was spent, and what the paper's number of episodes would take here and on a larger machine.
 
     Episodes that compiled something say nothing of the next ones; their time counts as preparation.

@@ -66,6 +66,7 @@ def devices() -> list[str]:
 
 
 def items(config: Config) -> list[Item]:
+    """Every world on every device."""
     found = [(device, world) for device in devices() for world in config.worlds]
     return [Item(f"{device}/{world}", world, {"device": device, "world": world}) for device, world in found]
 
@@ -109,7 +110,8 @@ def _row(item: Item, count: int, stage: str, p50: float, p99: float) -> Row:
     return {**item.values, "candidates": count, "stage": stage, "p50_ms": p50, "p99_ms": p99}
 
 
-def report(results: Results) -> Report:
+def report(results: Results[Config]) -> Report:
+    """A line for each device, world and number of candidates, and the paper's below."""
     rows = [line for row in results.finished_rows() for line in row["rows"]]
     header = ["device, world, candidates", *(f"{stage} [ms]" for stage in STAGES)]
     lines = []

@@ -11,6 +11,7 @@ from jaxplan import interception
 from jaxplan.config import InterceptConfig, Planner, Predictor
 from jaxplan.errors import InputError
 from jaxplan.policy.checkpoint import resolve_policy
+from jaxplan.replanner import Cycle
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
 from jaxplan.runner.tables import as_latex, as_markdown
 from jaxplan.scenario import build_scenario
@@ -65,6 +66,7 @@ class Config:
 
 
 def items(config: Config) -> list[Item]:
+    """One item: the episode."""
     return [Item("episode", config.planner, {})]
 
 
@@ -73,7 +75,7 @@ def evaluate(config: Config, item: Item) -> Row:
     asked = config.intercept()
     episode = interception.fly(build_scenario(asked, exhaustive=True))
     telling = [cycle for cycle in episode.cycles if (cycle.plans.trajectory >= 0).any()]
-    places = np.unique(np.linspace(0, len(telling) - 1, config.moments).astype(int)) if telling else []
+    places = np.unique(np.linspace(0, len(telling) - 1, config.moments if telling else 0).astype(int))
     flight = episode.flight
     return {
         "outcome": episode.outcome,
@@ -84,7 +86,8 @@ def evaluate(config: Config, item: Item) -> Row:
     }
 
 
-def _moment(cycle) -> Row:
+def _moment(cycle: Cycle) -> Row:
+    """What is kept of one replan cycle, to be drawn."""
     curves = candidate_curves(cycle, SAMPLES)
     order = np.argsort(~curves.curve_usable, kind="stable")[:MOST_CURVES]
     return {
@@ -100,7 +103,8 @@ def _moment(cycle) -> Row:
     }
 
 
-def report(results: Results) -> Report:
+def report(results: Results[Config]) -> Report:
+    """The outcome, a line and a panel for each moment."""
     (row,) = results.finished_rows()
     table = [{key: m[key] for key in ("time", "status", "generated", "usable")} for m in row["moments"]]
     header = ["time [s]", "the cycle came to", "candidates", "usable"]

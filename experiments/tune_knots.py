@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from jaxplan.errors import InputError
 from jaxplan.knots import KnotConfig, select_routes
@@ -48,9 +49,9 @@ class Outcome(NamedTuple):
     """Share of trajectories that stray by more than ``ALLOWED``."""
 
 
-def random_routes(pairs, seed):
+def random_routes(pairs: int, seed: int) -> list[Float[np.ndarray, "p 3"]]:
     """Taut routes [m] between random free points, about as many from each environment; straight ones are left out."""
-    routes = []
+    routes: list[tuple[str, Float[np.ndarray, "p 3"]]] = []
     for name in ENVIRONMENTS:
         world = load_world(name)
         lattices, rng = build_lattices(world), np.random.default_rng(seed)
@@ -65,7 +66,7 @@ def random_routes(pairs, seed):
 
 
 @in_float64
-def outcome(routes, distance, turning):
+def outcome(routes: list[Float[np.ndarray, "p 3"]], distance: float, turning: float) -> Outcome:
     """Segments and deviations of all routes for one setting."""
     config = KnotConfig(distance_per_knot=distance, turning_per_knot=turning)
     select = jax.jit(lambda path: select_routes(path[None], config))
@@ -78,11 +79,12 @@ def outcome(routes, distance, turning):
         points = np.asarray(curve.evaluate(np.linspace(0.0, float(curve.duration), 400)))[:, :3]
         deviations.append(distance_to_path(points, route.samples).max())
         segments.append(len(durations))
-    deviations = np.array(deviations)
-    return Outcome(distance, turning, np.mean(segments), np.median(deviations), np.mean(deviations > ALLOWED))
+    found = np.array(deviations)
+    rejected = float(np.mean(found > ALLOWED))
+    return Outcome(distance, turning, float(np.mean(segments)), float(np.median(found)), rejected)
 
 
-def distance_to_path(points, path):
+def distance_to_path(points: Float[np.ndarray, "n 3"], path: Float[np.ndarray, "s 3"]) -> Float[np.ndarray, "n"]:
     """From each point to the nearest point of a polyline [m]."""
     edges = np.diff(path, axis=0)
     squares = np.maximum((edges**2).sum(axis=1), 1e-12)
@@ -91,7 +93,7 @@ def distance_to_path(points, path):
     return np.linalg.norm(offset - share[..., None] * edges, axis=2).min(axis=1)
 
 
-def choose(outcomes):
+def choose(outcomes: list[Outcome]) -> Outcome:
     """The fewest segments among the settings that reject hardly more than the best one."""
     least = min(item.rejected for item in outcomes)
     return min((item for item in outcomes if item.rejected <= least + 0.02), key=lambda item: item.segments)
@@ -113,6 +115,7 @@ class Config:
 
 
 def items(config: Config) -> list[Item]:
+    """One item: all settings see the same routes."""
     return [Item("settings", "routes", {})]
 
 
@@ -123,7 +126,8 @@ def evaluate(config: Config, item: Item) -> Row:
     return {"rows": [outcome(routes, *setting)._asdict() for setting in settings]}
 
 
-def report(results: Results) -> Report:
+def report(results: Results[Config]) -> Report:
+    """A line for each setting, the one chosen, and the picture."""
     (found,) = results.finished_rows()
     rows = found["rows"]
     outcomes = [Outcome(**row) for row in rows]
@@ -133,9 +137,9 @@ def report(results: Results) -> Report:
         [f"{o.distance:g}", f"{o.turning:g}", f"{o.segments:.2f}", number(o.median), f"{o.rejected:.1%}"]
         for o in outcomes
     ]
-    verdict = f"Chosen: k_d,min = {chosen.distance:g} m, k_c,min = {chosen.turning:g} rad.\n"
+    choice = f"Chosen: k_d,min = {chosen.distance:g} m, k_c,min = {chosen.turning:g} rad.\n"
     curves = {f"k_c,min = {turning:g} rad": [o for o in outcomes if o.turning == turning] for turning in TURNINGS}
-    markdown = as_markdown(header, lines) + "\n" + verdict
+    markdown = as_markdown(header, lines) + "\n" + choice
     return Report(
         markdown=markdown + "\n![deviation against segments](knots.png)\n",
         table=rows,

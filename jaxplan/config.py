@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from jaxplan.errors import InputError
+from jaxplan.validation import checks_itself
 
 Predictor = Literal["none", "ground-truth", "noisy", "constant-velocity", "constant-acceleration", "gmm"]
 PREDICTORS: tuple[Predictor, ...] = get_args(Predictor)
@@ -17,6 +18,7 @@ _LATEST_DEPARTURE = 600.0
 """s; arbitrary: a larger value is a mistake of units."""
 
 
+@checks_itself
 @dataclass(frozen=True, kw_only=True)
 class InterceptConfig:
     """One closed-loop interception."""

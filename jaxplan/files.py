@@ -8,11 +8,12 @@ import os
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from jaxplan.errors import FileError, InputError, ResourceError
 
 
+@runtime_checkable
 class Writer(Protocol):
     """Writes one file."""
 

@@ -4,8 +4,17 @@ Every message says whose value it is, what was found and what is wanted. NaN nev
 """
 
 import math
+from typing import TypeVar, no_type_check
 
 from jaxplan.errors import InputError
+
+T = TypeVar("T")
+
+
+def checks_itself(cls: type[T]) -> type[T]:
+    """Say of a dataclass that its ``__post_init__`` refuses wrong types too: no run-time type checker goes first."""
+    no_type_check(cls.__init__)
+    return cls
 
 
 def require_positive(owner: str, config: object, *names: str) -> None:

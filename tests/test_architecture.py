@@ -22,6 +22,7 @@ LAYERS = [
 
 SIBLINGS = {
     ("config", "errors"),
+    ("config", "validation"),
     ("versions", "errors"),
     ("weights", "errors"),
     ("mjcf_probe", "errors"),

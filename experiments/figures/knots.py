@@ -1,6 +1,6 @@
 """The picture of the knot tuning: deviation from the path against the number of segments."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -25,7 +25,7 @@ class Setting(Protocol):
         """Share of trajectories beyond the allowed deviation."""
 
 
-def draw_knot_tuning(lines: dict[str, Sequence[Setting]], chosen: Setting, path: Path) -> None:
+def draw_knot_tuning(lines: Mapping[str, Sequence[Setting]], chosen: Setting, path: Path) -> None:
     """Write a PNG with one line per label, and the chosen setting in a red square."""
     figure = Figure(figsize=(8.0, 4.2), layout="constrained")
     FigureCanvasAgg(figure)

@@ -15,6 +15,7 @@ from jaxplan.versions import require_supported_jax
 
 if TYPE_CHECKING:
     from jaxplan.runner.definition import Experiment
+    from jaxplan.runner.run import Progress
 
 EXIT_QUARANTINED = IncompleteError.exit_code
 PRESETS = ("smoke", "small", "full")
@@ -71,7 +72,7 @@ def experiment(*tokens: Annotated[str, EVERY_TOKEN]) -> int:
     return _run(name, preset, config, options)
 
 
-def _app(found: "Experiment", name: str, base: dict[str, Any]) -> App:
+def _app(found: "Experiment[Any]", name: str, base: dict[str, Any]) -> App:
     """An app whose command returns its own arguments; fields that are not given are those of ``base``."""
     kind, first = found.config_type, found.presets["smoke"]
 
@@ -93,7 +94,7 @@ def _app(found: "Experiment", name: str, base: dict[str, Any]) -> App:
     return app
 
 
-def _options_of(found: "Experiment", name: str, tokens: list[str]) -> RunOptions | None:
+def _options_of(found: "Experiment[Any]", name: str, tokens: list[str]) -> RunOptions | None:
     """The run's options alone; None where help was asked for and shown."""
     from jaxplan.runner.configuration import as_plain
 
@@ -102,7 +103,7 @@ def _options_of(found: "Experiment", name: str, tokens: list[str]) -> RunOptions
     return None if result is None else result[1]
 
 
-def _base(found: "Experiment", name: str, options: RunOptions) -> tuple[str, dict[str, Any]]:
+def _base(found: "Experiment[Any]", name: str, options: RunOptions) -> tuple[str, dict[str, Any]]:
     """Preset and fields to begin with: of a file, of a preset, or of the run that is resumed."""
     from jaxplan.runner.configuration import as_plain, from_plain, read_config
 
@@ -149,7 +150,7 @@ def _run(name: str, preset: str, config: Any, options: RunOptions) -> int:
     return EXIT_QUARANTINED if done.quarantined else 0
 
 
-def _progress() -> Any:
+def _progress() -> "Progress":
     """Prints how far a run is: in place on a terminal, else a line every ten seconds."""
     last = [-10.0]
 

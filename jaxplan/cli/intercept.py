@@ -3,9 +3,9 @@
 import contextlib
 import dataclasses
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, runtime_checkable
 
 from cyclopts import Parameter
 
@@ -18,8 +18,14 @@ if TYPE_CHECKING:
 
 EXIT_NOT_INTERCEPTED = 13
 
-Progress = Callable[[str, float], None]
-"""Called with what is being done and the share of the longest possible episode that is over."""
+
+@runtime_checkable
+class Progress(Protocol):
+    """Tells a person how far an episode is."""
+
+    def __call__(self, text: str, share: float, /) -> None:
+        """Show what is being done, and the share of the longest possible episode that is over."""
+        ...
 
 
 def intercept(

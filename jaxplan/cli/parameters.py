@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, Protocol, get_type_hints
+from typing import Annotated, Any, Protocol, get_type_hints, runtime_checkable
 
 from cyclopts import Parameter, Token, convert
 
@@ -25,6 +25,7 @@ _BESIDE = Parameter(name="*")
 _FIXED = Parameter(parse=False)
 
 
+@runtime_checkable
 class Command(Protocol):
     """A command of the line: gets its options by name and returns an exit code."""
 

@@ -1,0 +1,5 @@
+"""What an interception reads and writes besides its world: targets and recorded flights, and results.
+
+``targets`` and ``target_log`` read how a target moves, ``output`` keeps a folder of results whole, ``files`` and
+``plans`` are the formats that stand in it.
+"""

@@ -1,13 +1,15 @@
 """The committed plans of one episode as plain arrays (``plans.npz``)."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
+
+from jaxplan.arrays import AnyArray
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from jaxplan.replanner import CommittedPlan
 
 
@@ -33,12 +35,19 @@ def write_plans(path: Path, plans: "Sequence[CommittedPlan]") -> None:
     )
 
 
-def _stack(arrays: "Sequence[np.ndarray]", segments: int, shape_if_none: tuple[int, ...]) -> np.ndarray:
-    """(P, segments, ...) with zeros behind each plan's own segments."""
+def _stack(
+    arrays: Sequence[Float[AnyArray, "_ *k"]], segments: int, shape_if_none: tuple[int, ...]
+) -> Float[np.ndarray, "plans segments *k"]:
+    """What the plans have for each segment, with zeros behind each plan's own segments.
+
+    Args:
+        segments: of the longest plan.
+        shape_if_none: of one segment's values, where there is no plan.
+    """
     if not arrays:
         return np.zeros((0, 0, *shape_if_none))
     padded = []
     for array in arrays:
-        array = np.asarray(array, dtype=float)
-        padded.append(np.pad(array, [(0, segments - len(array))] + [(0, 0)] * (array.ndim - 1)))
+        values = np.asarray(array, dtype=float)
+        padded.append(np.pad(values, [(0, segments - len(values))] + [(0, 0)] * (values.ndim - 1)))
     return np.stack(padded)

@@ -5,8 +5,8 @@ A stored trajectory is a list of waypoints and durations; its minimum-snap splin
 
 import dataclasses
 import json
-from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -26,6 +26,15 @@ _LOG_INTERVAL = 0.05
 """Recorded flights are resampled at this interval [s], so that sensor noise does not pass for speed."""
 
 
+@runtime_checkable
+class Motion(Protocol):
+    """A motion over time."""
+
+    def __call__(self, times: Float[np.ndarray, "*n"], derivative: int, /) -> Float[np.ndarray, "*n 3"]:
+        """The position [m, world] at ``times`` [s], or its first ``derivative`` [m/s]."""
+        ...
+
+
 @dataclasses.dataclass(frozen=True)
 class Target:
     """A target's motion over [0, duration]; outside it is held at its ends."""
@@ -37,17 +46,17 @@ class Target:
     """Metres per second, at the chosen speed."""
     warnings: tuple[str, ...]
     """What is odd about the recording."""
-    motion: Callable[[Float[np.ndarray, "n"], int], Float[np.ndarray, "n 3"]]
-    """The derivative (0 position, 1 velocity) at given times of the unscaled motion."""
+    motion: Motion
+    """Before it was scaled to the chosen speed."""
     rate: float
     """Seconds of unscaled motion in a second."""
 
-    def position(self, times: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 3"]:
-        """Metres, world."""
+    def position(self, times: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n 3"]:
+        """Where the target is at ``times`` [s]: metres, world."""
         return self.motion(np.clip(np.asarray(times) * self.rate, 0.0, self.duration * self.rate), 0)
 
-    def velocity(self, times: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 3"]:
-        """Metres per second, world; 0 outside the motion."""
+    def velocity(self, times: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n 3"]:
+        """How fast it is at ``times`` [s]: metres per second, world; 0 outside the motion."""
         times = np.asarray(times)
         inside = (times >= 0.0) & (times <= self.duration)
         clipped = np.clip(times * self.rate, 0.0, self.duration * self.rate)
@@ -85,8 +94,11 @@ def load_target(name_or_path: str | None, *, world: str, speed: float | None = N
     return _recorded(path, speed)
 
 
-def target_spline(waypoints: Float[np.ndarray, "m+1 3"], durations: Float[np.ndarray, "m"]) -> PiecewisePolynomial:
-    """Minimum snap through ``waypoints`` [m]: flying towards the second one at the start, at rest at the end."""
+def target_spline(waypoints: Float[np.ndarray, "n 3"], durations: Float[np.ndarray, "m"]) -> PiecewisePolynomial:
+    """Minimum snap through n = m + 1 ``waypoints`` [m]: flying towards the second one at the start, at rest at the end.
+
+    ``durations`` [s] are those of the segments between them.
+    """
     initial = np.zeros((4, 3))
     initial[0] = (waypoints[1] - waypoints[0]) / durations[0]
     return minimum_snap(waypoints, durations, initial=initial)
@@ -96,7 +108,7 @@ def _stored(world: str, name: str, speed: float) -> Target:
     table = json.loads((_STORED / f"{world}_targets.json").read_text())["trajectories"][name]
     spline = target_spline(np.array(table["waypoints"]), np.array(table["durations"]))
 
-    def motion(times: Float[np.ndarray, "n"], derivative: int) -> Float[np.ndarray, "n 3"]:
+    def motion(times: Float[np.ndarray, "*n"], derivative: int) -> Float[np.ndarray, "*n 3"]:
         return np.asarray(spline.evaluate(times, derivative))[..., :3]
 
     return _scaled(name, float(spline.duration), motion, speed, ())
@@ -113,7 +125,7 @@ def _recorded(path: Path, speed: float | None) -> Target:
 
 
 def _scaled(
-    name: str, duration: float, motion: Callable, speed: float | None, warnings: tuple[str, ...] | list[str]
+    name: str, duration: float, motion: Motion, speed: float | None, warnings: tuple[str, ...] | list[str]
 ) -> Target:
     """Stretch time so that the fastest instant has the wanted speed."""
     times = np.linspace(0.0, duration, max(3, int(duration / _SPEED_SAMPLES)))

@@ -5,9 +5,8 @@ of a group, which never counts against the job. Workers that die are replaced by
 """
 
 import time
-from collections.abc import Callable
 from concurrent.futures import CancelledError
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 from jaxplan.errors import ResourceError
 from jaxplan.runner import work
@@ -23,7 +22,14 @@ WORKER_SECONDS = 60.0
 PREPARATIONS = 20
 """Workers that may die in a row while they prepare, before the run gives up (arbitrary)."""
 
-Finished = Callable[[Shard, dict[str, Outcome]], None]
+
+@runtime_checkable
+class Finished(Protocol):
+    """Takes what is complete."""
+
+    def __call__(self, shard: Shard, outcomes: dict[str, Outcome], /) -> None:
+        """Keep the outcomes of a shard, by the names of its items."""
+        ...
 
 
 class Running(NamedTuple):

@@ -7,7 +7,7 @@ on the time. Then results do not depend on how many workers there are, nor on wh
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 from jaxplan.errors import IncompleteError
 
@@ -30,7 +30,8 @@ class Item(NamedTuple):
     """What the item stands for: plain JSON values."""
 
 
-class Results(NamedTuple, Generic[C]):
+@dataclasses.dataclass(frozen=True)
+class Results(Generic[C]):
     """All that is known when an experiment is reported."""
 
     config: C
@@ -70,6 +71,7 @@ class Results(NamedTuple, Generic[C]):
         )
 
 
+@runtime_checkable
 class Draw(Protocol):
     """Draws one picture."""
 
@@ -92,6 +94,7 @@ class Report(NamedTuple):
     """What the command line prints."""
 
 
+@runtime_checkable
 class ListItems(Protocol[C_contra]):
     """Says what there is to evaluate."""
 
@@ -100,6 +103,7 @@ class ListItems(Protocol[C_contra]):
         ...
 
 
+@runtime_checkable
 class Evaluate(Protocol[C_contra]):
     """Evaluates one item."""
 
@@ -108,6 +112,7 @@ class Evaluate(Protocol[C_contra]):
         ...
 
 
+@runtime_checkable
 class MakeReport(Protocol[C]):
     """Makes the report of all results."""
 
@@ -116,6 +121,7 @@ class MakeReport(Protocol[C]):
         ...
 
 
+@runtime_checkable
 class Prepare(Protocol[C_contra]):
     """Loads and compiles what the items of a group share."""
 
@@ -124,6 +130,7 @@ class Prepare(Protocol[C_contra]):
         ...
 
 
+@runtime_checkable
 class ListArtefacts(Protocol[C_contra]):
     """Says which files the results depend on."""
 

@@ -5,6 +5,7 @@ import importlib
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from jaxplan.errors import InputError, ResourceError
 from jaxplan.runner.definition import Experiment
@@ -30,7 +31,7 @@ def experiment_names() -> tuple[str, ...]:
 
 
 @functools.cache
-def load_experiment(name: str) -> Experiment:
+def load_experiment(name: str) -> Experiment[Any]:
     """The experiment called ``name``: a stored one, or the ``EXPERIMENT`` of one's own module, ``package.module``.
 
     Raises:

@@ -4,15 +4,15 @@ import contextlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from jaxplan.errors import InputError, JaxplanError
 from jaxplan.files import write_atomically
 from jaxplan.io.output import OutputFolder
 from jaxplan.runner import work
-from jaxplan.runner.cluster import run_on_cluster
+from jaxplan.runner.cluster import Finished, run_on_cluster
 from jaxplan.runner.configuration import as_plain
 from jaxplan.runner.definition import Experiment, Report, Results
 from jaxplan.runner.ledger import Ledger
@@ -21,7 +21,14 @@ from jaxplan.runner.registry import load_experiment
 from jaxplan.runner.shards import Outcome, Shard, Store, cut
 from jaxplan.runner.tables import as_csv, duration
 
-Progress = Callable[[str], None]
+
+@runtime_checkable
+class Progress(Protocol):
+    """Tells a person how far a run is."""
+
+    def __call__(self, text: str, /) -> None:
+        """Show one line, in the place of the one before."""
+        ...
 
 
 class Request(NamedTuple):
@@ -73,7 +80,7 @@ def run(request: Request, progress: Progress = lambda text: None) -> Done:
 
 
 def _evaluate(
-    experiment: Experiment,
+    experiment: Experiment[Any],
     request: Request,
     config: dict[str, Any],
     store: Store,
@@ -97,9 +104,7 @@ def _evaluate(
         run_on_cluster(request.name, config, ledger, finished, workers or 0, request.scheduler)
 
 
-def _run_here(
-    name: str, config: dict[str, Any], ledger: Ledger, finished: Callable[[Shard, dict[str, Outcome]], None]
-) -> None:
+def _run_here(name: str, config: dict[str, Any], ledger: Ledger, finished: Finished) -> None:
     """All jobs in this process, one after the other."""
     while job := ledger.take():
         found = work.evaluate(name, config, [list(item) for item in job.items])
@@ -124,7 +129,7 @@ class _Clock:
         self._progress(f"{self._name}: {done} of {self._count}, {60 * rate:.1f} a minute, {remaining} left")
 
 
-def _collect(config: Any, store: Store, shards: list[Shard]) -> Results:
+def _collect(config: Any, store: Store, shards: list[Shard]) -> Results[Any]:
     items, rows, seconds, compiled = [], [], [], []
     quarantined: dict[str, str] = {}
     preparing: dict[str, float] = {}
@@ -158,7 +163,7 @@ def _explained(results: Results[Any]) -> Iterator[None]:
         raise
 
 
-def _publish(request: Request, report: Report, results: Results, found: list[dict[str, Any]]) -> None:
+def _publish(request: Request, report: Report, results: Results[Any], found: list[dict[str, Any]]) -> None:
     """Write report, table and pictures; ``provenance.json`` is the last and has the hashes of the others."""
     folder = request.out
     with OutputFolder(folder) as output:
@@ -174,7 +179,7 @@ def _publish(request: Request, report: Report, results: Results, found: list[dic
     write_atomically(folder / "provenance.json", json.dumps(page, indent=1) + "\n")
 
 
-def _page(request: Request, report: Report, results: Results, found: list[dict[str, Any]]) -> str:
+def _page(request: Request, report: Report, results: Results[Any], found: list[dict[str, Any]]) -> str:
     """``report.md``: the body, what was left out, and where it comes from."""
     lines = [f"# {request.name}, preset {request.preset}", "", report.markdown.rstrip(), ""]
     if results.quarantined:

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
@@ -76,7 +77,7 @@ def draw_episode(episode: "Episode", metrics: dict[str, Any], path: Path) -> Non
     figure.savefig(path, format="png")
 
 
-def _layout(bounds: np.ndarray) -> _Layout:
+def _layout(bounds: Float[np.ndarray, "2 3"]) -> _Layout:
     """Give both views the same scale, as large as fits a page."""
     room = (1.0 + 2.0 * MARGIN) * (bounds[1] - bounds[0])
     scale = np.min(LARGEST_VIEW / room)

@@ -3,7 +3,8 @@
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
@@ -36,7 +37,7 @@ def draw_world_picture(world: World, path: Path, curves: dict[str, Float[np.ndar
     for axes, across in ((above, 2), (side, 1)):
         shown = [axis for axis in range(3) if axis != across]
         index = min(int((levels[across] - grid.origin[across]) / grid.resolution), grid.shape[across] - 1)
-        _draw_padding(axes, np.take(grid.near_obstacle, index, axis=across), lower[shown], upper[shown])
+        _draw_padding(axes, np.take(grid.near_obstacle, index, axis=across), lower[shown])
         draw_world(axes, world, across, levels[across])
         for number, (name, curve) in enumerate((curves or {}).items()):
             axes.plot(*curve[:, shown].T, color=f"C{number % 10}", linewidth=1.1, label=name, zorder=3)
@@ -55,8 +56,8 @@ def draw_world_picture(world: World, path: Path, curves: dict[str, Float[np.ndar
     figure.savefig(path, dpi=110)
 
 
-def _draw_padding(axes, padded: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> None:  # type: ignore[no-untyped-def]
-    """Colour the padded cells of one section."""
+def _draw_padding(axes: Axes, padded: Bool[np.ndarray, "a b"], lower: Float[np.ndarray, "2"]) -> None:
+    """Colour the padded cells of one section, whose first corner is at ``lower`` [m]."""
     image = np.ma.masked_where(~padded.T, np.ones(padded.T.shape))
     ends = lower + np.array(padded.shape) * _RESOLUTION
     extent = (lower[0], ends[0], lower[1], ends[1])

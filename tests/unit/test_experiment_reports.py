@@ -1,5 +1,6 @@
 """The reports of the stored experiments on made-up rows: what stands in them, and what remains where items failed."""
 
+import dataclasses
 import re
 from pathlib import Path
 from types import SimpleNamespace
@@ -39,7 +40,7 @@ def test_the_report_of_made_up_rows_says_what_is_below_the_paper() -> None:
     assert "| pretrained, constant-velocity | 1.000 | 0.51 to 1.00 | - | - | 0 |" in found.markdown
     assert "Extrapolated to 3000 episodes a cell: 3.3 h with one worker, 1.7 h with 2" in found.summary
     assert r"\begin{tabular}" in found.latex
-    cold = report(results._replace(compiled=[True] * 8))
+    cold = report(dataclasses.replace(results, compiled=[True] * 8))
     assert "Every episode compiled something (46 s in all): nothing can be extrapolated." in cold.summary
 
 
@@ -134,3 +135,12 @@ def test_the_policies_are_compared_on_what_is_left(tmp_path: Path) -> None:
     assert "| 100 | - | - | - |" in found.markdown
     found.figures["policy_comparison.png"](tmp_path / "picture.png")
     assert (tmp_path / "picture.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("folder", ["experiments", "benchmarks"])
+def test_what_a_wheel_carries_imports_its_own_folder_relatively(folder: str, repository: Path) -> None:
+    """A wheel has the folder as ``jaxplan/_<folder>``, where no package of its own name is found."""
+    absolute = re.compile(rf"^\s*(?:from|import) {folder}\b", re.MULTILINE)
+    files = sorted((repository / folder).rglob("*.py"))
+    assert len(files) > 5
+    assert [path.name for path in files if absolute.search(path.read_text(encoding="utf-8"))] == []
