@@ -90,15 +90,16 @@ def imitation_loss(
     alpha = jnp.where(known, batch.alpha, batch.alpha**2)
     found = allocate_times(network, parameters, memory, frame, batch.initial)
     later = allocate_times(network, parameters, memory, frame, sped_up(batch.initial, alpha))
-    change = _log_total(later) - _log_total(found)
     wanted = _log_total(batch.sped_up) - _log_total(batch.durations)
+    change = (_log_total(later) - _log_total(found)).astype(wanted.dtype)
     imitated = _error(later, batch.sped_up, config) + config.response * _huber(change - wanted)
     response = jnp.where(known, imitated, config.growth * _huber(growth_shortfall(change, alpha)))
-    imitation = jnp.sum(_error(found, batch.durations, config) + response) / jnp.sum(1.0 + known)
+    labels = jnp.sum(1.0 + known.astype(wanted.dtype))
+    imitation = jnp.sum(_error(found, batch.durations, config) + response) / labels
     if config.excess > 0.0:
         beyond = thrust_excess(vehicle, batch, found, config.max_yaw_rate)
-        imitation += config.excess * jnp.mean(jnp.minimum(beyond, MOST_EXCESS))
-    return imitation + config.divergence * jnp.mean(_divergence(bottleneck))
+        imitation += (config.excess * jnp.mean(jnp.minimum(beyond, MOST_EXCESS))).astype(wanted.dtype)
+    return imitation + (config.divergence * jnp.mean(_divergence(bottleneck))).astype(wanted.dtype)
 
 
 def growth_shortfall(change: Float[Array, "b"], alpha: Float[Array, "b"]) -> Float[Array, "b"]:
@@ -123,7 +124,7 @@ def thrust_excess(
     splines = fit_each(initial, waypoints, times, max_yaw_rate)
     states = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), splines).states(INSTANTS)
     beyond = jax.nn.relu(RESERVE - thrust_limit_margin(vehicle, states))
-    return jnp.mean(beyond, axis=0) * jnp.sum(durations, axis=0)
+    return jnp.mean(beyond, axis=0).astype(durations.dtype) * jnp.sum(durations, axis=0)
 
 
 def _error(
@@ -131,9 +132,10 @@ def _error(
 ) -> Float[Array, "b"]:
     """Loss of each sequence."""
     real = durations > 0.0
-    share = 0.5 * wanted / (jnp.sum(wanted, axis=0) + 1e-9) + 0.5 * real / jnp.sum(real, axis=0)
-    error = jnp.where(real, _log(durations) - _log(wanted), 0.0)
-    total = _log_total(durations) - _log_total(wanted)
+    even = real.astype(wanted.dtype)
+    share = 0.5 * wanted / (jnp.sum(wanted, axis=0) + 1e-9)[None] + 0.5 * even / jnp.sum(even, axis=0)[None]
+    error = jnp.where(real, _log(durations).astype(wanted.dtype) - _log(wanted), 0.0)
+    total = _log_total(durations).astype(wanted.dtype) - _log_total(wanted)
     weight = config.total * jnp.where(total < 0.0, config.haste, 1.0)
     return jnp.sum(share * _huber(error), axis=0) + weight * _huber(total)
 
@@ -141,8 +143,8 @@ def _error(
 def _mirrored(batch: Examples, key: PRNGKeyArray) -> Examples:
     """Half of the batch reflected in a vertical plane: a quadrotor flies left as it flies right."""
     side = jnp.where(jax.random.bernoulli(key, 0.5, batch.count.shape), 1.0, -1.0).astype(batch.waypoints.dtype)
-    flip = jnp.stack([jnp.ones_like(side), side, jnp.ones_like(side)])
-    state = FlatStateBatch(derivatives=batch.initial.derivatives * flip, yaw=batch.initial.yaw * side)
+    flip = jnp.stack([jnp.ones_like(side), side, jnp.ones_like(side)])[None]
+    state = FlatStateBatch(derivatives=batch.initial.derivatives * flip, yaw=batch.initial.yaw * side[None])
     return batch._replace(waypoints=batch.waypoints * flip, initial=state)
 
 

@@ -162,7 +162,8 @@ def rewards(
     splines = fit_each(batch.initial, jnp.asarray(batch.waypoints), durations, config.max_yaw_rate)
     feasible = chance(splines)
     relative = jnp.sum(durations, axis=0) / jnp.sum(batch.durations, axis=0)
-    return (config.bonus + jnp.minimum(1.0 - relative, config.ceiling)) * feasible, feasible, relative
+    gain = config.bonus + jnp.minimum(1.0 - relative, config.ceiling)
+    return gain * feasible.astype(gain.dtype), feasible, relative
 
 
 class _Tries(NamedTuple):
@@ -184,7 +185,8 @@ def _gradient_loss(
 ) -> tuple[Float[Array, ""], Return]:
     logs = log_durations(network, parameters, batch)
     reward, feasible, relative = rewards(chance, batch, logs, config)
-    loss = -jnp.mean(reward) + config.anchor * _divergence(logs, known, config.deviation)
+    kept = config.anchor * _divergence(logs, known, config.deviation)
+    loss = kept.astype(reward.dtype) - jnp.mean(reward)
     return loss, Return(jnp.mean(reward), jnp.mean(feasible), jnp.mean(relative))
 
 
@@ -198,7 +200,7 @@ def _try(
 ) -> _Tries:
     mean = log_durations(network, learner.parameters, batch)
     noise = jax.random.normal(key, (config.tries, *mean.shape), mean.dtype)
-    logs = mean[None] + jnp.exp(learner.log_deviation) * noise * (batch.durations > 0.0)[None]
+    logs = mean[None] + jnp.exp(learner.log_deviation) * noise * (batch.durations > 0.0).astype(mean.dtype)[None]
     reward, feasible, relative = jax.lax.map(lambda one: rewards(chance, batch, one, config), logs)
     advantage = reward - jnp.mean(reward, axis=0, keepdims=True)
     advantage = advantage / (jnp.std(advantage) + 1e-6)
@@ -219,9 +221,10 @@ def _ppo_loss(
     mean = log_durations(network, parameters, batch)
     ratio = jnp.exp(_log_likelihood(tries.logs, mean, log_deviation, batch) - tries.log_likelihood)
     clipped = jnp.clip(ratio, 1.0 - config.ratio, 1.0 + config.ratio)
-    gain = jnp.mean(jnp.minimum(ratio * tries.advantage, clipped * tries.advantage))
+    precise = tries.advantage.dtype
+    gain = jnp.mean(jnp.minimum(ratio.astype(precise) * tries.advantage, clipped.astype(precise) * tries.advantage))
     kept = config.anchor * _divergence(mean, known, config.deviation) - config.entropy * log_deviation
-    return kept - gain, tries.found
+    return kept.astype(precise) - gain, tries.found
 
 
 def _log_likelihood(
