@@ -17,7 +17,7 @@ from jaxplan.prediction.mixture import Prediction, density_terms, draw, draw_ran
 from jaxplan.prediction.mixture_predictor import mixture_proposer
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.protocol import Draws, PredictionConfig, Proposal, Proposer, StepPredictor
-from jaxplan.prediction.target_model import TargetModel
+from jaxplan.prediction.target_model import TargetModel, shipped_model
 from jaxplan.records import replace
 from jaxplan.world.obstacles import World
 
@@ -36,7 +36,7 @@ class Sources(NamedTuple):
     truth: Trajectory | None = None
     """The target's real motion."""
     model: TargetModel | None = None
-    """A mixture of how targets move."""
+    """A mixture of how targets move; a shipped one where it is None."""
     world: World | None = None
     """The room, to which the model must belong; None where it is unknown."""
 
@@ -46,11 +46,14 @@ class Sources(NamedTuple):
             raise InputError("predictor: ground-truth and noisy need the target's real motion; give it as truth")
         return self.truth
 
-    def mixture(self) -> TargetModel:
-        """The mixture of how targets move; InputError where it was not given."""
-        if self.model is None:
-            raise InputError("predictor: gmm needs a target model; give one, see jaxplan train gmm --help")
-        return self.model
+    def mixture(self, dt: float) -> TargetModel:
+        """The mixture of how targets move: that given, or the shipped one of the room or of any room.
+
+        Raises InputError where none was given and none is shipped for steps of ``dt`` [s].
+        """
+        if self.model is not None:
+            return self.model
+        return shipped_model("" if self.world is None else self.world.name, dt)
 
 
 @runtime_checkable
@@ -68,7 +71,7 @@ class PredictorKind(NamedTuple):
     sampling: bool = False
     """Proposes a batch of goals for every step; the others propose one."""
     learned: bool = False
-    """Needs a target model."""
+    """Draws from a target model."""
 
 
 def build_predictor(
@@ -87,6 +90,7 @@ def build_predictor(
         truth: the target's real motion [m, world], for ``ground-truth`` and ``noisy``; the others do not look at it.
         seed: of all draws.
         model: the mixture for ``gmm``; its windows must be those of ``config``, its room that of ``world`` if given.
+            The shipped one of that room, or the generic one, when omitted.
         world: the room.
 
     Raises:
@@ -149,7 +153,7 @@ def _constant_acceleration(config: PredictionConfig, sources: Sources) -> Propos
 
 def _gmm(config: PredictionConfig, sources: Sources) -> Proposer:
     """Where a Gaussian mixture says, that was learned from random flights."""
-    return mixture_proposer(config, sources.mixture(), sources.world)
+    return mixture_proposer(config, sources.mixture(config.dt), sources.world)
 
 
 PREDICTORS: Mapping[str, PredictorKind] = {

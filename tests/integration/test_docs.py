@@ -31,3 +31,9 @@ def test_code_blocks_run(path: Path, tmp_path: Path) -> None:
 def test_links_lead_somewhere(path: Path) -> None:
     links = LINK.findall(path.read_text(encoding="utf-8"))
     assert [link for link in links if not (path.parent / link).exists()] == []
+
+
+@pytest.mark.parametrize("path", WITH_CODE, ids=name)
+def test_code_blocks_need_only_public_names(path: Path) -> None:
+    code = "\n".join(BLOCK.findall(path.read_text(encoding="utf-8")))
+    assert re.findall(r"(?:from|import) jaxplan\..*", code) == []

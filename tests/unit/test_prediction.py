@@ -179,10 +179,13 @@ def test_the_names_that_a_user_can_give_are_those_of_the_table():
 def test_what_a_predictor_needs_to_know_must_be_given(name):
     """And nothing else: with it alone it proposes as many goals as its kind says."""
     kind = PREDICTORS[name]
-    if name in ("ground-truth", "noisy") or kind.learned:
-        with pytest.raises(InputError, match="train gmm" if kind.learned else "real motion"):
+    if name in ("ground-truth", "noisy"):
+        with pytest.raises(InputError, match="real motion"):
             build_predictor(name, PredictionConfig())
-    known = {"model": shipped_model("generic", 0.1)} if kind.learned else {"truth": truth}
+    if kind.learned:
+        with pytest.raises(InputError, match="train gmm"):
+            build_predictor(name, PredictionConfig(dt=0.123))
+    known = {} if kind.learned else {"truth": truth}
     assert len(build_predictor(name, PredictionConfig(), **known)(watch(), 0).goals) == (400 if kind.sampling else 20)
 
 
