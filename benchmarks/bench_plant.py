@@ -3,8 +3,9 @@
     python -m benchmarks.bench_plant --batches 32 256 1024 --seconds 5
 
 A flight is what ``jaxplan.track`` does with a spline: INDI at 200 Hz, physics at 400 Hz, rotor lag, drag and noise,
-splines sampled in float64, errors judged. The peers do less: MuJoCo's threads step the same rigid body in C under held
-thrusts, without rotors, drag, noise or controller; rotorpy flies its own SE(3) controller, one flight at a time.
+splines sampled in float64, errors compared with the thresholds. The peers do less: MuJoCo's threads step the same rigid
+body in C under held thrusts, without rotors, drag, noise or controller; rotorpy flies its own SE(3) controller, one
+flight at a time. The rigid body's own step stands beside the whole of mjx.step (docs/decisions/0016-free-body.md).
 """
 
 import argparse
@@ -12,12 +13,14 @@ import os
 import time
 from pathlib import Path
 
+import jax
 import mujoco
 import numpy as np
 from mujoco import rollout
 
 from jaxplan.minsnap.single import minimum_snap
-from jaxplan.tracking.model import PHYSICS_RATE, vehicle_mjcf
+from jaxplan.precision import float32_island
+from jaxplan.tracking.model import PHYSICS_RATE, Motion, complete_body, vehicle_body, vehicle_mjcf
 from jaxplan.tracking.track import TrackConfig, track
 from jaxplan.vehicle.load import load_vehicle
 
@@ -49,6 +52,26 @@ def flights(batch, seconds, controller, repeats):
         "flights_per_s": rate,
         "feasible": float(result.feasible.mean()),
     }
+
+
+def body_steps(batch, steps, repeats):
+    """Steps per second of the rigid body alone, by its own stages of MJX and by the whole of mjx.step."""
+    rng, rows = np.random.default_rng(0), []
+    still = np.tile([1.0, 0.0, 0.0, 0.0], (batch, 1))
+    motion = Motion(np.zeros((batch, 3)), still, rng.normal(size=(batch, 3)), rng.normal(size=(batch, 3)))
+    thrusts, nothing = rng.uniform(1.0, 3.0, (batch, 4)), np.zeros((batch, 3))
+    for method, body in (("free body", vehicle_body(load_vehicle())), ("mjx.step", complete_body(load_vehicle()))):
+        many = jax.vmap(body)
+        fly = float32_island(
+            lambda motion, *loads, many=many: jax.lax.fori_loop(0, steps, lambda _, m: many(m, *loads), motion)
+        )
+        times = []
+        for _ in range(repeats + 1):  # the first one compiles
+            began = time.perf_counter()
+            jax.block_until_ready(fly(motion, thrusts, nothing, nothing))
+            times.append(time.perf_counter() - began)
+        rows.append({"method": f"{method}, vmap", "batch": batch, "steps_per_s": batch * steps / min(times[1:])})
+    return rows
 
 
 def c_mujoco(batch, seconds, threads):
@@ -105,13 +128,16 @@ def main(argv=None):
     rows.append(flights(options.batches[-1], options.seconds, "se3", 1))
     if options.peers:
         rows.append(rotorpy(options.peers, options.seconds))
+    steps = body_steps(options.batches[0], round(options.seconds * PHYSICS_RATE), options.repeats)
+    for row in steps:
+        print(f"{row['method']:36} batch {row['batch']:5}  {row['steps_per_s']:8.0f} steps of the body per second")
     for row in rows:
         rate = "-" if row["flights_per_s"] is None else f"{row['flights_per_s']:8.1f}"
         print(f"{row['method']:36} batch {row['batch']:5}  {rate} flights of {options.seconds:g} s per second")
     print(f"first call, with compilation: {compiling['indi']:.1f} s")
     if options.json is not None:
         compiled = [{"method": f"first call, {name}", "seconds": seconds} for name, seconds in compiling.items()]
-        write(options.json, rows + compiled)
+        write(options.json, rows + steps + compiled)
     return 0
 
 

@@ -89,7 +89,7 @@ def summarise(motion: Float[AnyArray, "f p k"]) -> Float[Array, "s k"]:
     return jnp.concatenate([jnp.max(seen, axis=1), jnp.min(seen, axis=1), jnp.mean(seen, axis=1), motion[DURATION, :1]])
 
 
-def _compressed(x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+def _compressed(x: Float[AnyArray, "*shape"]) -> Float[AnyArray, "*shape"]:
     """x where it is small, of the order of its fourth root where it is large; cheaper than a logarithm."""
     root = jnp.sqrt(1.0 + jnp.abs(x))
     return x / (root * jnp.sqrt(root))

@@ -4,31 +4,31 @@ Low: what the trajectory itself demands of the rotors, by flatness on dense samp
 High: a flight in closed loop. MFRL learns from many of the first and few of the second.
 """
 
-from collections.abc import Callable
-from typing import Literal, get_args
+from typing import Literal, Protocol, get_args, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt32
+from jaxtyping import Bool, Float, Int, UInt32
 
+from jaxplan.arrays import AnyArray
 from jaxplan.batching import in_portions
 from jaxplan.errors import InputError
 from jaxplan.precision import in_float64
 from jaxplan.records import record
 from jaxplan.spline import PiecewisePolynomial
-from jaxplan.tracking.references import Splines, as_sequence, duration_of_each, padded
+from jaxplan.tracking.references import PaddedSplines, Splines, as_sequence, duration_of_each, padded
 from jaxplan.tracking.result import Flaw
 from jaxplan.tracking.track import LONGEST_FLIGHT, TrackConfig, track
 from jaxplan.vehicle.limits import Feasibility, rotor_limit_margin
-from jaxplan.vehicle.limits import feasibility as rotor_verdict
+from jaxplan.vehicle.limits import feasibility as rotor_feasibility
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.params import Vehicle
 
 Fidelity = Literal["rotor-limits", "rollout"]
 
 SAMPLES = 256
-"""Instants of a flight at which the low fidelity looks, evenly spread, ends included (arbitrary)."""
+"""Instants of a flight at which the low fidelity looks, equally far apart, ends included (arbitrary)."""
 PIECES = 64
 """Parts of a segment over which the rotors' demand is bounded (as ``vehicle.limits``)."""
 _FLIGHTS_AT_ONCE = 256
@@ -44,7 +44,7 @@ class Labels:
     reasons: UInt32[np.ndarray, "k"]
     """Bits of ``Flaw``."""
     margin: Float[np.ndarray, "k"]
-    """Share of what is allowed that is left, negative where infeasible; -inf where it could not be judged.
+    """Share of what is allowed that is left, negative where infeasible; -inf where it is not known.
 
     Low fidelity: of the range of rotor speeds, for the worst rotor. High: of the nearer of the two error thresholds.
     """
@@ -52,12 +52,22 @@ class Labels:
     """False where the low fidelity saw no violation but its bounds between the samples do not rule one out."""
 
 
-Labeller = Callable[[Splines], Labels]
-_Margins = Callable[[PiecewisePolynomial], tuple[Float[Array, "b"], Int[Array, "b"]]]
+@runtime_checkable
+class Labeller(Protocol):
+    """Labels trajectories at one fidelity."""
+
+    def __call__(self, splines: Splines) -> Labels:
+        """One entry a trajectory, in the order given."""
+
+
+@runtime_checkable
+class _Margins(Protocol):
+    def __call__(self, splines: PaddedSplines) -> tuple[Float[AnyArray, "b"], Int[AnyArray, "b"]]:
+        """The least distance [rad/s] of each flight from a rotor limit, and its ``Feasibility``."""
 
 
 def build_labeller(
-    fidelity: Fidelity, *, vehicle: Vehicle | None = None, config: TrackConfig | None = None
+    fidelity: Fidelity | str, *, vehicle: Vehicle | None = None, config: TrackConfig | None = None
 ) -> Labeller:
     """The function that labels trajectories at one fidelity (host).
 
@@ -70,10 +80,11 @@ def build_labeller(
         chosen = TrackConfig() if config is None else config
         return lambda splines: _from_flights(splines, flyer, chosen)
 
-    def judge(spline: PiecewisePolynomial) -> tuple[Float[Array, ""], Int[Array, ""]]:
-        return _rotor_margin(flyer, spline), rotor_verdict(flyer, spline, PIECES)
+    def margin(flight: PaddedSplines) -> tuple[Float[AnyArray, ""], Int[AnyArray, ""]]:
+        spline = PiecewisePolynomial(**flight._asdict())
+        return _rotor_margin(flyer, spline), rotor_feasibility(flyer, spline, PIECES)
 
-    margins = jax.jit(jax.vmap(judge))
+    margins = jax.jit(jax.vmap(margin))
     return lambda splines: _from_demands(splines, flyer, margins)
 
 
@@ -105,7 +116,7 @@ def _from_demands(splines: Splines, vehicle: Vehicle, margins: _Margins) -> Labe
     return Labels(feasible=reasons == 0, reasons=reasons, margin=margin / scale, decided=decided)
 
 
-def _rotor_margin(vehicle: Vehicle, spline: PiecewisePolynomial) -> Float[Array, ""]:
+def _rotor_margin(vehicle: Vehicle, spline: PiecewisePolynomial) -> Float[AnyArray, ""]:
     """The least distance [rad/s] from a rotor limit over ``SAMPLES`` instants; -inf where a state is not finite."""
     states = spline.state(jnp.linspace(0.0, 1.0, SAMPLES) * spline.duration)
     return jnp.min(jax.vmap(lambda state: rotor_limit_margin(vehicle, state))(states))

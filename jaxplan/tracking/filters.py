@@ -6,8 +6,9 @@ the derivative. Cutoff as in the MFRL simulator (30 Hz: w^2 = 35530.6, sqrt(2) w
 
 import math
 
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from jaxplan.arrays import AnyArray
 from jaxplan.records import record
 
 CUTOFF_HZ = 30.0
@@ -20,13 +21,13 @@ _OMEGA = 2.0 * math.pi * CUTOFF_HZ
 class FilterState:
     """A filtered signal of any shape and its derivative."""
 
-    value: Float[Array, "*signal"]
+    value: Float[AnyArray, "*signal"]
     """Unit of the signal."""
-    rate: Float[Array, "*signal"]
+    rate: Float[AnyArray, "*signal"]
     """Unit of the signal per second."""
 
 
-def filter_step(state: FilterState, signal: Float[Array, "*signal"], dt: float) -> FilterState:
+def filter_step(state: FilterState, signal: Float[AnyArray, "*signal"], dt: float) -> FilterState:
     """The filter after ``dt`` [s] of the input ``signal``."""
     gain = dt * _OMEGA**2
     rate = (state.rate + gain * (signal - state.value)) * (1.0 / (1.0 + dt * (math.sqrt(2.0) * _OMEGA + gain)))

@@ -7,8 +7,9 @@ attitude rule of ``vehicle.flatness``, so that a vehicle that flies backwards do
 """
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
+from jaxplan.arrays import AnyArray
 from jaxplan.spline import FlatState
 from jaxplan.tracking.rotor_commands import rotor_commands
 from jaxplan.tracking.sensing import MOMENT, RATES, SPECIFIC_FORCE, THRUST, Sensed
@@ -18,7 +19,7 @@ from jaxplan.vehicle.rotations import rotation_vector
 from jaxplan.vehicle.vectors import length
 
 
-def indi(vehicle: Vehicle, sensed: Sensed, reference: FlatState) -> tuple[Float[Array, "4"], Bool[Array, ""]]:
+def indi(vehicle: Vehicle, sensed: Sensed, reference: FlatState) -> tuple[Float[AnyArray, "4"], Bool[AnyArray, ""]]:
     """Rotor speeds to command [rad/s], and whether a limit changed them. ``vehicle`` is cast already."""
     thrust_vector = _commanded_thrust_vector(vehicle, sensed, reference)
     angular_acceleration = _commanded_angular_acceleration(vehicle, sensed, reference, thrust_vector)
@@ -29,7 +30,7 @@ def indi(vehicle: Vehicle, sensed: Sensed, reference: FlatState) -> tuple[Float[
     return rotor_commands(vehicle, moment, thrust, sensed.rotor_speeds)
 
 
-def _commanded_thrust_vector(vehicle: Vehicle, sensed: Sensed, reference: FlatState) -> Float[Array, "3"]:
+def _commanded_thrust_vector(vehicle: Vehicle, sensed: Sensed, reference: FlatState) -> Float[AnyArray, "3"]:
     """(16), (17), (20): the specific thrust vector [m/s^2, world] that corrects position, velocity and acceleration."""
     force, thrust = sensed.signals.value[SPECIFIC_FORCE], sensed.signals.value[THRUST]
     gains, dtype = vehicle.indi, force.dtype
@@ -44,8 +45,8 @@ def _commanded_thrust_vector(vehicle: Vehicle, sensed: Sensed, reference: FlatSt
 
 
 def _commanded_angular_acceleration(
-    vehicle: Vehicle, sensed: Sensed, reference: FlatState, thrust_vector: Float[Array, "3"]
-) -> Float[Array, "3"]:
+    vehicle: Vehicle, sensed: Sensed, reference: FlatState, thrust_vector: Float[AnyArray, "3"]
+) -> Float[AnyArray, "3"]:
     """(22)-(28): feedback on attitude and rates, feed-forward of jerk, snap and yaw [rad/s^2, body]."""
     gains, rotation = vehicle.indi, sensed.rotation
     error = rotation_vector(rotation.T @ attitude_from(thrust_vector, reference.yaw[0]))

@@ -15,14 +15,15 @@ step, with which the tests compare.
 
 import contextlib
 import io
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from jaxplan.arrays import AnyArray, Scalar
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.rotations import rotation_from_quat
 
@@ -41,17 +42,18 @@ Integrator = Literal["Euler", "RK4"]
 class Motion(NamedTuple):
     """Position [m, world] and attitude (body to world), velocity [m/s, world] and rates [rad/s, body]."""
 
-    pos: Float[Array, "3"]
-    quat_wxyz: Float[Array, "4"]
-    vel: Float[Array, "3"]
-    body_rates: Float[Array, "3"]
+    pos: Float[AnyArray, "3"]
+    quat_wxyz: Float[AnyArray, "4"]
+    vel: Float[AnyArray, "3"]
+    body_rates: Float[AnyArray, "3"]
 
 
+@runtime_checkable
 class Body(Protocol):
     """A rigid body that can be stepped."""
 
     def __call__(
-        self, motion: Motion, thrusts: Float[Array, "4"], force: Float[Array, "3"], moment: Float[Array, "3"]
+        self, motion: Motion, thrusts: Float[AnyArray, "4"], force: Float[AnyArray, "3"], moment: Float[AnyArray, "3"]
     ) -> Motion:
         """The motion 1/400 s later under rotor ``thrusts`` [N], ``force`` [N, world] and ``moment`` [N m, body]."""
 
@@ -93,7 +95,9 @@ def vehicle_body(vehicle: Vehicle, *, float64: bool = False) -> Body:
     inertia = np.concatenate([np.full(3, vehicle.mass), vehicle.inertia]).astype(level.qpos.dtype)
     arms = _moment_arms(vehicle).astype(level.qpos.dtype)
 
-    def step(motion: Motion, thrusts: Float[Array, "4"], force: Float[Array, "3"], moment: Float[Array, "3"]) -> Motion:
+    def step(
+        motion: Motion, thrusts: Float[AnyArray, "4"], force: Float[AnyArray, "3"], moment: Float[AnyArray, "3"]
+    ) -> Motion:
         up = rotation_from_quat(motion.quat_wxyz)[:, 2]
         lift = thrusts[0] + thrusts[1] + thrusts[2] + thrusts[3]
         turning = jnp.sum(arms * thrusts[None, :], axis=1)
@@ -108,7 +112,9 @@ def complete_body(vehicle: Vehicle, *, integrator: Integrator = "Euler", float64
     """The body of ``vehicle`` under all of ``mjx.step``, its rotors MuJoCo's actuators; for comparisons (host)."""
     model, level = _level(vehicle, integrator, float64)
 
-    def step(motion: Motion, thrusts: Float[Array, "4"], force: Float[Array, "3"], moment: Float[Array, "3"]) -> Motion:
+    def step(
+        motion: Motion, thrusts: Float[AnyArray, "4"], force: Float[AnyArray, "3"], moment: Float[AnyArray, "3"]
+    ) -> Motion:
         data = _moved(level, motion).replace(ctrl=thrusts, qfrc_applied=jnp.concatenate([force, moment]))
         return _motion(mjx.step(model, data))
 
@@ -142,6 +148,6 @@ def _motion(data: mjx.Data) -> Motion:
     return Motion(pos=data.qpos[:3], quat_wxyz=data.qpos[3:], vel=data.qvel[:3], body_rates=data.qvel[3:])
 
 
-def _numbers(values: np.ndarray | float) -> str:
+def _numbers(values: Float[AnyArray, "..."] | Scalar) -> str:
     """Shortest text that reads back as the same float64."""
-    return " ".join(repr(float(value)) for value in np.ravel(values))
+    return " ".join(repr(float(value)) for value in np.ravel(np.asarray(values)))

@@ -15,8 +15,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt32
+from jaxtyping import Float, Int, PRNGKeyArray, UInt32
 
+from jaxplan.arrays import AnyArray, Scalar
 from jaxplan.records import record
 from jaxplan.spline import FlatState
 from jaxplan.tracking.disturbance import Disturbance, air_velocity
@@ -37,31 +38,31 @@ DT = 1.0 / PHYSICS_RATE
 class PlantState:
     """Everything that the next step of the simulated flight depends on. float32, world z up, body FLU."""
 
-    pos: Float[Array, "*batch 3"]
+    pos: Float[AnyArray, "*batch 3"]
     """m, world."""
-    vel: Float[Array, "*batch 3"]
+    vel: Float[AnyArray, "*batch 3"]
     """m/s, world."""
-    quat_wxyz: Float[Array, "*batch 4"]
+    quat_wxyz: Float[AnyArray, "*batch 4"]
     """Body to world, unit."""
-    body_rates: Float[Array, "*batch 3"]
+    body_rates: Float[AnyArray, "*batch 3"]
     """rad/s, body."""
-    rotor_speeds: Float[Array, "*batch 4"]
+    rotor_speeds: Float[AnyArray, "*batch 4"]
     """rad/s."""
     signals: FilterState
     """Filtered measurements, (*batch 4 3); rows named in ``sensing``."""
-    key: PRNGKeyArray | UInt32[Array, "*batch 2"]
+    key: PRNGKeyArray | UInt32[AnyArray, "*batch 2"]
     """Stream of the noise; step i uses ``fold_in(key, i)``, so how a flight is cut into calls does not matter."""
-    step: Int[Array, "*batch"]
+    step: Int[AnyArray, "*batch"]
     """Control steps flown since the reset."""
 
 
 class Noise(NamedTuple):
     """Standard normal draws of one physics step."""
 
-    force: Float[Array, "3"]
-    moment: Float[Array, "3"]
-    accelerometer: Float[Array, "3"]
-    gyroscope: Float[Array, "3"]
+    force: Float[AnyArray, "3"]
+    moment: Float[AnyArray, "3"]
+    accelerometer: Float[AnyArray, "3"]
+    gyroscope: Float[AnyArray, "3"]
 
 
 def state_on_reference(vehicle: Vehicle, reference: FlatState, key: PRNGKeyArray) -> PlantState:
@@ -95,10 +96,10 @@ def physics_step(
     vehicle: Vehicle,
     body: Body,
     state: PlantState,
-    commands: Float[Array, "4"],
+    commands: Float[AnyArray, "4"],
     noise: Noise,
     disturbance: Disturbance | None = None,
-    time: Float[Array, ""] | float = 0.0,
+    time: Scalar = 0.0,
 ) -> PlantState:
     """The plant 1/400 s later, under held rotor ``commands`` [rad/s, within limits]. ``vehicle`` is cast already.
 
@@ -108,13 +109,14 @@ def physics_step(
     mean_speeds = 0.5 * (state.rotor_speeds + speeds)
     reaction = vehicle.rotor_inertia * jnp.sum(vehicle.rotor_spin * (speeds - state.rotor_speeds)) / DT
     wrench = allocation_matrix(vehicle) @ mean_speeds**2
-    lift, air = vehicle.thrust_coefficient * mean_speeds**2, jnp.zeros_like(state.vel)
+    thrusts, airspeed = vehicle.thrust_coefficient * mean_speeds**2, state.vel
     if disturbance is not None:
-        lift, air = lift * (1.0 - disturbance.thrust_loss), air_velocity(disturbance, jnp.asarray(time))
+        thrusts = thrusts * (1.0 - jnp.asarray(disturbance.thrust_loss))
+        airspeed = state.vel - air_velocity(disturbance, jnp.asarray(time))
     motion = body(
         Motion(pos=state.pos, quat_wxyz=state.quat_wxyz, vel=state.vel, body_rates=state.body_rates),
-        thrusts=lift,
-        force=_body_force(vehicle, state.vel - air, noise),
+        thrusts=thrusts,
+        force=_body_force(vehicle, airspeed, noise),
         moment=_body_moment(vehicle, state, mean_speeds, reaction, noise),
     )
     signals = _measured(vehicle, state, motion, wrench, reaction, noise)
@@ -131,10 +133,10 @@ def _measured(
     vehicle: Vehicle,
     before: PlantState,
     after: Motion,
-    wrench: Float[Array, "4"],
-    reaction: Float[Array, ""],
+    wrench: Float[AnyArray, "4"],
+    reaction: Float[AnyArray, ""],
     noise: Noise,
-) -> Float[Array, "4 3"]:
+) -> Float[AnyArray, "4 3"]:
     """What goes into the filters at the end of a step, in the rows of ``sensing``."""
     up = jnp.array([0.0, 0.0, 1.0], after.vel.dtype)
     # Isotropic noise is the same in body and world axes, so the turn into the body and back is left out.
@@ -161,15 +163,15 @@ def no_noise(key: PRNGKeyArray, substeps: int) -> Noise:
     return Noise(*(jnp.zeros((substeps, 3), jnp.float32) for _ in range(4)))
 
 
-def _body_force(vehicle: Vehicle, airspeed: Float[Array, "3"], noise: Noise) -> Float[Array, "3"]:
+def _body_force(vehicle: Vehicle, airspeed: Float[AnyArray, "3"], noise: Noise) -> Float[AnyArray, "3"]:
     """Drag of the velocity through the air [m/s, world] and process noise [N, world]."""
     drag = -vehicle.drag_coefficient * length(airspeed) * airspeed
     return drag + jnp.sqrt(vehicle.force_noise_psd / DT) * noise.force
 
 
 def _body_moment(
-    vehicle: Vehicle, state: PlantState, speeds: Float[Array, "4"], reaction: Float[Array, ""], noise: Noise
-) -> Float[Array, "3"]:
+    vehicle: Vehicle, state: PlantState, speeds: Float[AnyArray, "4"], reaction: Float[AnyArray, ""], noise: Noise
+) -> Float[AnyArray, "3"]:
     """Rotor reaction and gyroscopic moment, aerodynamic damping and process noise [N m, body]."""
     rate_x, rate_y, _ = state.body_rates
     momentum = vehicle.rotor_inertia * jnp.sum(vehicle.rotor_spin * speeds)  # along -z

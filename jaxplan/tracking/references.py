@@ -5,19 +5,24 @@ are sampled block by block in float64, so that a long flight costs no more preci
 """
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
+from jaxplan.arrays import AnyArray
 from jaxplan.errors import InputError
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.precision import in_float64
 from jaxplan.records import replace
 from jaxplan.spline import FlatState, PiecewisePolynomial
 
-Splines = PiecewisePolynomial | Sequence[PiecewisePolynomial] | SplineBatch
+if TYPE_CHECKING:
+    Splines = PiecewisePolynomial | Sequence[PiecewisePolynomial] | SplineBatch
+else:
+    Splines = Any  # ``as_sequence`` looks at what it gets, and has a message of its own
 """One trajectory, a list of them, or the batch that the planner makes."""
 
 _LEAST_SEGMENTS = 4
@@ -59,31 +64,39 @@ def duration_of_each(splines: Sequence[PiecewisePolynomial] | SplineBatch) -> Fl
     return values
 
 
-def padded(splines: Sequence[PiecewisePolynomial] | SplineBatch, chosen: Int[np.ndarray, "b"]) -> PiecewisePolynomial:
-    """The ``chosen`` flights with a leading batch axis, padded to a common number of segments, in NumPy float64."""
+class PaddedSplines(NamedTuple):
+    """The fields of a ``PiecewisePolynomial`` with a leading batch axis and a common number of segments."""
+
+    durations: Float[AnyArray, "b m"]
+    position: Float[AnyArray, "b m n 3"]
+    yaw: Float[AnyArray, "b m k"]
+
+
+def padded(splines: Sequence[PiecewisePolynomial] | SplineBatch, chosen: Int[np.ndarray, "b"]) -> PaddedSplines:
+    """The ``chosen`` flights, in NumPy float64."""
     if isinstance(splines, SplineBatch):
         last_first = [np.moveaxis(np.asarray(leaf)[..., chosen], -1, 0) for leaf in jax.tree.leaves(splines)]
         durations, position, yaw = (np.asarray(leaf, dtype=np.float64) for leaf in last_first)
-        lanes = [(durations, position, yaw[..., 0])]
+        flights = [(durations, position, yaw[..., 0])]
     else:
-        lanes = [jax.tree.map(lambda leaf: np.asarray(leaf)[None], _leaves(splines[index])) for index in chosen]
-    segments = _bucket(max(lane[0].shape[1] for lane in lanes))
-    widths = [max(lane[i].shape[2] for lane in lanes) for i in (1, 2)]
+        flights = [jax.tree.map(lambda leaf: np.asarray(leaf)[None], _leaves(splines[index])) for index in chosen]
+    segments = _bucket(max(flight[0].shape[1] for flight in flights))
+    widths = [max(flight[i].shape[2] for flight in flights) for i in (1, 2)]
     shapes = [(segments,), (segments, widths[0], 3), (segments, widths[1])]
-    grown = [[_grow(leaf, shape) for leaf, shape in zip(lane, shapes, strict=True)] for lane in lanes]
+    grown = [[_grow(leaf, shape) for leaf, shape in zip(flight, shapes, strict=True)] for flight in flights]
     durations, position, yaw = (np.concatenate(parts) for parts in zip(*grown, strict=True))
-    return PiecewisePolynomial(durations=durations, position=position, yaw=yaw)
+    return PaddedSplines(durations, position, yaw)
 
 
 @in_float64
-def references_at(splines: PiecewisePolynomial, times: Float[np.ndarray, "n"]) -> FlatState:
-    """The references of every flight of a ``padded`` batch at ``times`` [s], (b, n), rounded to float32."""
+def references_at(splines: PaddedSplines, times: Float[np.ndarray, "n"]) -> FlatState:
+    """The references of all flights at ``times`` [s], (b, n), rounded to float32."""
     return _sample(splines, times)
 
 
 @jax.jit
-def _sample(splines: PiecewisePolynomial, times: Float[np.ndarray, "n"]) -> FlatState:
-    states = jax.vmap(lambda spline: spline.state(times))(splines)
+def _sample(splines: PaddedSplines, times: Float[Array, "n"]) -> FlatState:
+    states = jax.vmap(lambda flight: PiecewisePolynomial(**flight._asdict()).state(times))(splines)
     return jax.tree.map(lambda leaf: leaf.astype(jnp.float32), states)
 
 

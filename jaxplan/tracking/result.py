@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, UInt32
 
 from jaxplan.errors import InputError
 from jaxplan.records import record
+from jaxplan.validation import require_positive
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,8 +22,7 @@ class Thresholds:
     """rad, at most pi."""
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.position < math.inf:
-            raise InputError(f"thresholds: position is {self.position} m, want a finite number above 0")
+        require_positive("thresholds", self, "position")
         if not 0.0 < self.yaw <= math.pi:
             raise InputError(f"thresholds: yaw is {self.yaw} rad, want a number above 0 and at most pi")
 

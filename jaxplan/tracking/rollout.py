@@ -5,13 +5,14 @@ the reference at t_i. The controller reads row i at t_i and holds its command; r
 and its errors are against row i + 1. To go on, the next call's row 0 is this call's row n.
 """
 
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Bool, Float, PRNGKeyArray
 
+from jaxplan.arrays import AnyArray
 from jaxplan.errors import InputError
 from jaxplan.numerics import wrap_angle
 from jaxplan.precision import float32_island
@@ -38,7 +39,7 @@ CONTROL_RATE = 200
 """Control steps per second, as in the MFRL evaluation."""
 
 ControllerName = Literal["indi", "se3"]
-CONTROLLERS: dict[ControllerName, Controller] = {"indi": indi, "se3": se3}
+CONTROLLERS: dict[str, Controller] = {"indi": indi, "se3": se3}
 """Incremental dynamic inversion (the default), and geometric control as the second choice. Gains are the vehicle's."""
 
 _SUBSTEPS = PHYSICS_RATE // CONTROL_RATE
@@ -51,24 +52,25 @@ class FlightLog:
     A flight that went wrong shows as errors that are large or not finite: test ``~(error < limit)``.
     """
 
-    pos: Float[Array, "n 3"]
+    pos: Float[AnyArray, "*n 3"]
     """m, world."""
-    vel: Float[Array, "n 3"]
+    vel: Float[AnyArray, "*n 3"]
     """m/s, world."""
-    quat_wxyz: Float[Array, "n 4"]
+    quat_wxyz: Float[AnyArray, "*n 4"]
     """Body to world."""
-    body_rates: Float[Array, "n 3"]
+    body_rates: Float[AnyArray, "*n 3"]
     """rad/s, body."""
-    rotor_speeds: Float[Array, "n 4"]
+    rotor_speeds: Float[AnyArray, "*n 4"]
     """rad/s."""
-    position_error: Float[Array, "n"]
+    position_error: Float[AnyArray, "*n"]
     """m, distance from the reference."""
-    yaw_error: Float[Array, "n"]
+    yaw_error: Float[AnyArray, "*n"]
     """rad in [0, pi], between the heading of body x seen from above and the reference's yaw; not modulo pi."""
-    saturated: Bool[Array, "n"]
+    saturated: Bool[AnyArray, "*n"]
     """A rotor limit changed the command of this step."""
 
 
+@runtime_checkable
 class Reset(Protocol):
     """Puts the vehicle on a reference."""
 
@@ -76,6 +78,7 @@ class Reset(Protocol):
         """The plant on ``reference``, rotors at the speeds it demands, filters settled, with ``key`` for its noise."""
 
 
+@runtime_checkable
 class Fly(Protocol):
     """Flies along references."""
 
@@ -98,7 +101,7 @@ class Plant(NamedTuple):
     fly: Fly
 
 
-def build_plant(vehicle: Vehicle, *, noise: bool = True, controller: ControllerName = "indi") -> Plant:
+def build_plant(vehicle: Vehicle, *, noise: bool = True, controller: ControllerName | str = "indi") -> Plant:
     """The plant of ``vehicle`` (host); ``noise`` False leaves out process and sensor noise."""
     if controller not in CONTROLLERS:
         raise InputError(f"build_plant: controller is {controller!r}, want one of {', '.join(CONTROLLERS)}")
@@ -135,7 +138,7 @@ def build_plant(vehicle: Vehicle, *, noise: bool = True, controller: ControllerN
     return Plant(reset=float32_island(reset), fly=float32_island(fly))
 
 
-def _log(state: PlantState, target: FlatState, saturated: Bool[Array, ""]) -> FlightLog:
+def _log(state: PlantState, target: FlatState, saturated: Bool[AnyArray, ""]) -> FlightLog:
     """One row of the log; plain arithmetic, so that NaN stays NaN."""
     ahead = rotation_from_quat(state.quat_wxyz)[:, 0]
     heading = jnp.arctan2(ahead[1], ahead[0])

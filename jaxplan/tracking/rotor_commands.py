@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float, Int
 
+from jaxplan.arrays import AnyArray, Scalar
 from jaxplan.vehicle.mixing import inverse_allocation_matrix
 from jaxplan.vehicle.params import Vehicle
 
@@ -29,16 +30,16 @@ would buy next to nothing (arbitrary)."""
 class _Mixer(NamedTuple):
     """Squared rotor speeds as straight lines of thrust and yaw moment: tilt + lift * thrust + yaw * z."""
 
-    tilt: Float[Array, "4"]
-    lift: Float[Array, "4"]
-    yaw: Float[Array, "4"]
-    lowest: Float[Array, ""]
-    highest: Float[Array, ""]
+    tilt: Float[AnyArray, "4"]
+    lift: Float[AnyArray, "4"]
+    yaw: Float[AnyArray, "4"]
+    lowest: Scalar
+    highest: Scalar
 
 
 def rotor_commands(
-    vehicle: Vehicle, moment: Float[Array, "3"], thrust: Float[Array, ""], rotor_speeds: Float[Array, "4"]
-) -> tuple[Float[Array, "4"], Bool[Array, ""]]:
+    vehicle: Vehicle, moment: Float[AnyArray, "3"], thrust: Float[AnyArray, ""], rotor_speeds: Float[AnyArray, "4"]
+) -> tuple[Float[AnyArray, "4"], Bool[AnyArray, ""]]:
     """Speeds [rad/s] to command for ``moment`` [N m, body] and ``thrust`` [N] at the current ``rotor_speeds`` [rad/s].
 
     Also tells whether any limit changed them. ``vehicle`` is cast already.
@@ -58,12 +59,12 @@ def rotor_commands(
     reaction = jnp.where(alike, vehicle.rotor_inertia / vehicle.motor_time_constant, 0.0)
     present = vehicle.torque_coefficient * jnp.sum(spin * rotor_speeds**2)
 
-    def excess(z: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    def excess(z: Float[AnyArray, ""]) -> tuple[Float[AnyArray, ""], Float[AnyArray, ""]]:
         speeds = jnp.sqrt(jnp.maximum(base + yaw * z, 0.0))
         slope = 1.0 + reaction * jnp.sum(0.5 * spin * yaw / jnp.maximum(speeds, 1.0))
         return z + reaction * jnp.sum(spin * (speeds - rotor_speeds)) - moment[2], slope
 
-    def newton(_: int, z: Float[Array, ""]) -> Float[Array, ""]:
+    def newton(_: Int[AnyArray, ""] | int, z: Float[AnyArray, ""]) -> Float[AnyArray, ""]:
         value, slope = excess(z)
         return jnp.clip(z - value / slope, low, high)
 
@@ -75,7 +76,7 @@ def rotor_commands(
     return jnp.sqrt(jnp.clip(squares, lowest, highest)), saturated
 
 
-def _yaw_room(mixer: _Mixer, base: Float[Array, "4"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+def _yaw_room(mixer: _Mixer, base: Float[AnyArray, "4"]) -> tuple[Float[AnyArray, ""], Float[AnyArray, ""]]:
     """The yaw moments z [N m] that keep all rotors within limits at ``base`` + yaw z; low > high if none does."""
     size = jnp.abs(mixer.yaw)
     part = size > _NO_PART * jnp.max(size)
@@ -85,7 +86,7 @@ def _yaw_room(mixer: _Mixer, base: Float[Array, "4"]) -> tuple[Float[Array, ""],
     return low, jnp.min(jnp.where(part, jnp.maximum(*ends), jnp.inf))
 
 
-def _nearest_thrust(mixer: _Mixer, wanted: Float[Array, ""]) -> Float[Array, ""]:
+def _nearest_thrust(mixer: _Mixer, wanted: Float[AnyArray, ""]) -> Float[AnyArray, ""]:
     """The thrust [N] nearest to ``wanted`` that some yaw moment makes feasible.
 
     Two rotors with the yaw moment eliminated (Fourier-Motzkin) bound the thrust from both sides: with y_i, y_j of
@@ -101,7 +102,7 @@ def _nearest_thrust(mixer: _Mixer, wanted: Float[Array, ""]) -> Float[Array, ""]
     return wanted
 
 
-def _bounds(mixer: _Mixer, opposite: bool) -> tuple[Float[Array, ""], Float[Array, ""]]:
+def _bounds(mixer: _Mixer, opposite: bool) -> tuple[Float[AnyArray, ""], Float[AnyArray, ""]]:
     """The thrusts that all pairs allow whose rotors yaw in opposite (or else in equal) directions."""
     yaw, lift, tilt = (_pairs(values) for values in (mixer.yaw, mixer.lift, mixer.tilt))
     one, other = yaw[1], -yaw[0]  # weights that cancel yaw
@@ -114,20 +115,18 @@ def _bounds(mixer: _Mixer, opposite: bool) -> tuple[Float[Array, ""], Float[Arra
     counts = steep & ((one * other > 0.0) == opposite)
     divisor = jnp.where(counts, slope, 1.0)
     ends = (least - offset) / divisor, (most - offset) / divisor
-    all_alike = 4.0 / jnp.sum(
-        mixer.lift
-    )  # N per (rad/s)^2 of all rotors; bounds everything, so that no bound is infinite
+    all_alike = 4.0 / jnp.sum(mixer.lift)  # N per (rad/s)^2 of all rotors; bounds everything: no bound is infinite
     low = jnp.max(jnp.where(counts, jnp.minimum(*ends), mixer.lowest * all_alike))
     return low, jnp.min(jnp.where(counts, jnp.maximum(*ends), mixer.highest * all_alike))
 
 
-def _pairs(values: Float[Array, "4"]) -> tuple[Float[Array, "8"], Float[Array, "8"]]:
+def _pairs(values: Float[AnyArray, "4"]) -> tuple[Float[AnyArray, "8"], Float[AnyArray, "8"]]:
     """Each rotor beside the next and the one after that: every pair, those across twice."""
     following = [jnp.roll(values, -1), jnp.roll(values, -2)]
     return jnp.concatenate([values, values]), jnp.concatenate(following)
 
 
-def _nearly(squares: Float[Array, "4"], lowest: Float[Array, ""], highest: Float[Array, ""]) -> Bool[Array, "4"]:
+def _nearly(squares: Float[AnyArray, "4"], lowest: Scalar, highest: Scalar) -> Bool[AnyArray, "4"]:
     """Outside the limits by rounding only."""
     slack = 1e-5 * highest
     return (squares >= lowest - slack) & (squares <= highest + slack)

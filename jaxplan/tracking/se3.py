@@ -9,8 +9,9 @@ filtered gyroscope. It knows neither drag nor disturbances: at speed it lags whe
 """
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
+from jaxplan.arrays import AnyArray
 from jaxplan.spline import FlatState
 from jaxplan.tracking.rotor_commands import rotor_commands
 from jaxplan.tracking.sensing import RATES, Sensed
@@ -18,7 +19,7 @@ from jaxplan.vehicle.flatness import FlatOutputs, attitude_from, differential_fl
 from jaxplan.vehicle.params import Vehicle
 
 
-def se3(vehicle: Vehicle, sensed: Sensed, reference: FlatState) -> tuple[Float[Array, "4"], Bool[Array, ""]]:
+def se3(vehicle: Vehicle, sensed: Sensed, reference: FlatState) -> tuple[Float[AnyArray, "4"], Bool[AnyArray, ""]]:
     """Rotor speeds to command [rad/s], and whether a limit changed them. ``vehicle`` is cast already."""
     gains, dtype = vehicle.se3, sensed.pos.dtype
     specific_force = (
@@ -33,7 +34,9 @@ def se3(vehicle: Vehicle, sensed: Sensed, reference: FlatState) -> tuple[Float[A
     return rotor_commands(vehicle, _moment(vehicle, sensed, commanded, flat), thrust, sensed.rotor_speeds)
 
 
-def _moment(vehicle: Vehicle, sensed: Sensed, commanded: Float[Array, "3 3"], flat: FlatOutputs) -> Float[Array, "3"]:
+def _moment(
+    vehicle: Vehicle, sensed: Sensed, commanded: Float[AnyArray, "3 3"], flat: FlatOutputs
+) -> Float[AnyArray, "3"]:
     """Eq. (20) [N m, body], with the gains given per inertia."""
     gains, rates = vehicle.se3, sensed.signals.value[RATES]
     dtype = rates.dtype

@@ -1,9 +1,10 @@
 """What a tracking controller reads, and the one signature that all controllers share."""
 
-from collections.abc import Callable
+from typing import Protocol, runtime_checkable
 
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
+from jaxplan.arrays import AnyArray
 from jaxplan.records import record
 from jaxplan.spline import FlatState
 from jaxplan.tracking.filters import FilterState
@@ -14,13 +15,13 @@ from jaxplan.vehicle.params import Vehicle
 class Sensed:
     """What the controller reads: true position, velocity, attitude and rotor speeds, and four filtered signals."""
 
-    pos: Float[Array, "3"]
+    pos: Float[AnyArray, "3"]
     """m, world."""
-    vel: Float[Array, "3"]
+    vel: Float[AnyArray, "3"]
     """m/s, world."""
-    rotation: Float[Array, "3 3"]
+    rotation: Float[AnyArray, "3 3"]
     """Body to world."""
-    rotor_speeds: Float[Array, "4"]
+    rotor_speeds: Float[AnyArray, "4"]
     """rad/s."""
     signals: FilterState
     """(4, 3): rows ``SPECIFIC_FORCE``, ``THRUST``, ``RATES``, ``MOMENT``."""
@@ -30,6 +31,15 @@ SPECIFIC_FORCE, THRUST, RATES, MOMENT = range(4)
 """Rows of the filtered signals: accelerometer turned into the world [m/s^2], specific thrust vector in the world
 [m/s^2], gyroscope [rad/s, body], moment that the rotors make, their reaction included [N m, body]."""
 
-Controller = Callable[[Vehicle, Sensed, FlatState], tuple[Float[Array, "4"], Bool[Array, ""]]]
-"""``controller(vehicle, sensed, reference)``: rotor speeds to command [rad/s], and whether a limit changed them. The
-vehicle is cast already; gains are the vehicle's."""
+
+@runtime_checkable
+class Controller(Protocol):
+    """Follows a reference."""
+
+    def __call__(
+        self, vehicle: Vehicle, sensed: Sensed, reference: FlatState
+    ) -> tuple[Float[AnyArray, "4"], Bool[AnyArray, ""]]:
+        """Rotor speeds to command [rad/s], and whether a limit changed them.
+
+        ``vehicle`` is cast already; the gains are its own.
+        """

@@ -10,12 +10,13 @@ import dataclasses
 import functools
 import os
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import Annotated, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
+from jaxtyping import Bool, Float, Int, PRNGKeyArray, Shaped
+from numpy.typing import ArrayLike
 
 from jaxplan.arrays import AnyArray
 from jaxplan.batching import fill, in_portions
@@ -45,7 +46,7 @@ LONGEST_FLIGHT = 100.0
 
 @dataclasses.dataclass(frozen=True)
 class TrackConfig:
-    """How trajectories are flown and judged."""
+    """How trajectories are flown, and when they count as feasible."""
 
     thresholds: Thresholds = TRAINING
     """Errors from which a flight counts as infeasible."""
@@ -76,11 +77,13 @@ class _Summary(NamedTuple):
     """Control steps whose command a limit changed; in the end their share."""
 
 
+@runtime_checkable
 class _Reset(Protocol):
     def __call__(self, references: FlatState, numbers: Int[AnyArray, "b"], key: PRNGKeyArray) -> PlantState:
         """Each flight on its reference; its noise is the stream of that number below ``key``."""
 
 
+@runtime_checkable
 class _Advance(Protocol):
     def __call__(
         self,
@@ -121,7 +124,7 @@ def track(
     *,
     vehicle: Vehicle | None = None,
     config: TrackConfig | None = None,
-    indices: Int[np.ndarray, "k"] | None = None,
+    indices: Annotated[ArrayLike, "k"] | None = None,
     start: FlatState | None = None,
     disturbance: Disturbance | None = None,
 ) -> TrackingResult:
@@ -243,7 +246,7 @@ def _tracker(numbers: _Numbers, noise: bool, controller: ControllerName) -> _Tra
     """The programs that fly ``WIDTH`` lanes of one vehicle; kept, since they cost seconds to compile."""
     plant = build_plant(numbers.vehicle, noise=noise, controller=controller)
 
-    def reset(references: FlatState, numbers: Int[Array, "b"], key: PRNGKeyArray) -> PlantState:
+    def reset(references: FlatState, numbers: Int[AnyArray, "b"], key: PRNGKeyArray) -> PlantState:
         keys = jax.vmap(lambda number: jax.random.fold_in(key, number))(numbers)
         return jax.vmap(plant.reset)(references, keys)
 
@@ -251,8 +254,8 @@ def _tracker(numbers: _Numbers, noise: bool, controller: ControllerName) -> _Tra
         state: PlantState,
         summary: _Summary,
         references: FlatState,
-        left: Int[Array, "b"],
-        limits: Float[Array, "2"],
+        left: Int[AnyArray, "b"],
+        limits: Float[AnyArray, "2"],
         disturbance: Disturbance | None,
     ) -> tuple[PlantState, _Summary]:
         begun = state.step
@@ -264,7 +267,11 @@ def _tracker(numbers: _Numbers, noise: bool, controller: ControllerName) -> _Tra
 
 
 def _updated(
-    summary: _Summary, log: FlightLog, active: Bool[Array, "b n"], begun: Int[Array, "b"], limits: Float[Array, "2"]
+    summary: _Summary,
+    log: FlightLog,
+    active: Bool[AnyArray, "b n"],
+    begun: Int[AnyArray, "b"],
+    limits: Float[AnyArray, "2"],
 ) -> _Summary:
     """The summary after one more block; what is not finite counts as infinite."""
     position = jnp.where(jnp.isfinite(log.position_error), log.position_error, jnp.inf)
@@ -288,7 +295,7 @@ def _blank() -> _Summary:
     return _Summary(zeros, zeros, np.full(WIDTH, np.inf, np.float32), zeros, np.zeros(WIDTH, np.int32))
 
 
-def _checked_indices(indices: Int[np.ndarray, "k"] | None, count: int) -> Int[np.ndarray, "k"]:
+def _checked_indices(indices: ArrayLike | None, count: int) -> Int[np.ndarray, "k"]:
     numbers = np.arange(count) if indices is None else np.asarray(indices)
     if numbers.shape != (count,) or numbers.dtype.kind not in "iu" or np.any(numbers < 0) or np.any(numbers >= 2**31):
         raise InputError(

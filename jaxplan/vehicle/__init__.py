@@ -1,0 +1,1 @@
+"""What a quadrotor is, and what a trajectory demands of it."""

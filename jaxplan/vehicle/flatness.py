@@ -12,43 +12,44 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from jaxplan.arrays import AnyArray
 from jaxplan.numerics import safe_divide
 from jaxplan.records import record
 from jaxplan.spline import FlatState, FlatStateBatch
 from jaxplan.vehicle.mixing import signed_sqrt, squared_rotor_speeds
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.rotations import quat_from_rotation
-from jaxplan.vehicle.vectors import Vector, cross, direction, dot, length
+from jaxplan.vehicle.vectors import Entry, Vector, cross, direction, dot, length
 
 
 @record
 class FlatOutputs:
     """What one flat state demands of the vehicle. Body frame FLU, world z up."""
 
-    specific_thrust: Float[Array, ""]
+    specific_thrust: Float[AnyArray, ""]
     """m/s^2, >= 0."""
-    thrust: Float[Array, ""]
+    thrust: Float[AnyArray, ""]
     """N, along body +z, >= 0."""
-    rotation: Float[Array, "3 3"]
+    rotation: Float[AnyArray, "3 3"]
     """Body to world: columns are the body axes in the world."""
-    quat_wxyz: Float[Array, "4"]
+    quat_wxyz: Float[AnyArray, "4"]
     """The same attitude as a quaternion, w >= 0."""
-    body_rates: Float[Array, "3"]
+    body_rates: Float[AnyArray, "3"]
     """rad/s, body."""
-    angular_acceleration: Float[Array, "3"]
+    angular_acceleration: Float[AnyArray, "3"]
     """rad/s^2, body."""
-    moment: Float[Array, "3"]
+    moment: Float[AnyArray, "3"]
     """N m, body: J dw + w x J w. Rotor inertia is left out."""
-    rotor_speeds: Float[Array, "4"]
+    rotor_speeds: Float[AnyArray, "4"]
     """rad/s; negative where the rotor would have to pull downwards."""
 
 
 class Demand(NamedTuple):
     """What one flat state demands of the body, entry by entry; units as in ``FlatOutputs``."""
 
-    specific_thrust: Float[Array, ""]
+    specific_thrust: Entry
     axes: tuple[Vector, Vector, Vector]
     """b_x, b_y and b_z in the world: the columns of the rotation."""
     body_rates: Vector
@@ -94,19 +95,20 @@ def demand_of(vehicle: Vehicle, state: FlatState | FlatStateBatch) -> Demand:
 
 
 def against_drag(vehicle: Vehicle, reference: FlatState) -> FlatState:
-    """The state whose flatness outputs make ``reference`` against the drag of still air: acceleration and jerk hold the
-    drag -c |v| v and its rate too. Snap is left as it is.
+    """The state whose flatness outputs make ``reference`` against the drag of still air.
+
+    Its acceleration and jerk hold the drag -c |v| v and its rate too; snap is left as it is.
     """
     vel, acc = reference.vel, reference.acc
     speed = length(vel)
     share = vehicle.drag_coefficient / vehicle.mass
     along = safe_divide(dot(vel, acc), speed)
     drag_rate = speed * acc + along * vel
-    derivatives = reference.derivatives.at[2].add(share * speed * vel).at[3].add(share * drag_rate)
+    derivatives = jnp.asarray(reference.derivatives).at[2].add(share * speed * vel).at[3].add(share * drag_rate)
     return FlatState(derivatives=derivatives, yaw=reference.yaw)
 
 
-def attitude_from(force: Float[Array, "3"], yaw: Float[Array, ""]) -> Float[Array, "3 3"]:
+def attitude_from(force: Float[AnyArray, "3"], yaw: Float[AnyArray, ""]) -> Float[AnyArray, "3 3"]:
     """The attitude (body to world) with b_z along ``force`` [world] and b_x in the vertical plane of ``yaw`` [rad].
 
     Level where ``force`` is 0. Where b_z is horizontal and normal to that plane, b_x is the horizontal heading.
@@ -115,13 +117,13 @@ def attitude_from(force: Float[Array, "3"], yaw: Float[Array, ""]) -> Float[Arra
 
 
 def body_rates_from(
-    rotation: Float[Array, "3 3"],
-    specific_thrust: Float[Array, ""],
-    jerk: Float[Array, "3"],
-    snap: Float[Array, "3"],
-    yaw_rate: Float[Array, ""],
-    yaw_acceleration: Float[Array, ""],
-) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    rotation: Float[AnyArray, "3 3"],
+    specific_thrust: Float[AnyArray, ""],
+    jerk: Float[AnyArray, "3"],
+    snap: Float[AnyArray, "3"],
+    yaw_rate: Float[AnyArray, ""],
+    yaw_acceleration: Float[AnyArray, ""],
+) -> tuple[Float[AnyArray, "3"], Float[AnyArray, "3"]]:
     """Body rates [rad/s] and angular acceleration [rad/s^2] that make ``jerk``, ``snap`` and the yaw motion.
 
     At the attitude and thrust given, which need not be the reference's. Tal & Karaman 2021 eq. (14), (15), solved by
@@ -133,7 +135,7 @@ def body_rates_from(
     return jnp.stack(rates), jnp.stack(acceleration)
 
 
-def _axes(force: Vector, yaw: Float[Array, ""]) -> tuple[Vector, Vector, Vector]:
+def _axes(force: Vector, yaw: Entry) -> tuple[Vector, Vector, Vector]:
     """The columns of ``attitude_from``."""
     cos, sin, zero = jnp.cos(yaw), jnp.sin(yaw), jnp.zeros_like(yaw)
     b_z = direction(force, otherwise=(zero, zero, zero + 1.0))
@@ -141,17 +143,17 @@ def _axes(force: Vector, yaw: Float[Array, ""]) -> tuple[Vector, Vector, Vector]
     return b_x, cross(b_z, b_x), b_z
 
 
-def _matrix(axes: tuple[Vector, Vector, Vector]) -> Float[Array, "3 3"]:
+def _matrix(axes: tuple[Vector, Vector, Vector]) -> Float[AnyArray, "3 3"]:
     return jnp.stack([jnp.stack(axis) for axis in axes], axis=1)
 
 
 def _rates(
     axes: tuple[Vector, Vector, Vector],
-    specific_thrust: Float[Array, ""],
+    specific_thrust: Entry,
     jerk: Vector,
     snap: Vector,
-    yaw_rate: Float[Array, ""],
-    yaw_acceleration: Float[Array, ""],
+    yaw_rate: Entry,
+    yaw_acceleration: Entry,
 ) -> tuple[Vector, Vector]:
     """Entries of ``body_rates_from``."""
     b_x3, b_y3, b_z3 = (axis[2] for axis in axes)

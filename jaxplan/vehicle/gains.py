@@ -5,7 +5,8 @@ import math
 
 from jaxplan.errors import InputError
 
-Diagonal = tuple[float, float, float]
+Diagonal = tuple[float, ...]
+"""Three numbers, one an axis."""
 
 
 @dataclasses.dataclass(frozen=True)

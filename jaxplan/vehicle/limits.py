@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxplan.arrays import AnyArray, Scalar
 from jaxplan.precision import in_float64
 from jaxplan.spline import FlatState, FlatStateBatch, PiecewisePolynomial
 from jaxplan.vehicle.flatness import demand_of
@@ -95,7 +96,7 @@ def squared_speed_bounds(
     half = (0.5 * spline.durations / pieces)[:, None]
     jerk, snap = spline.bounds(3, pieces), spline.bounds(4, pieces)
     turn, turn_rate = spline.yaw_bounds(1, pieces), spline.yaw_bounds(2, pieces)
-    force = _middles(spline, pieces).acc + vehicle.gravity * jnp.array([0.0, 0.0, 1.0], half.dtype)
+    force = _middles(spline, pieces).acc + vehicle.gravity * jnp.array([0.0, 0.0, 1.0], half.dtype)[None, None]
     magnitude = jnp.sqrt(jnp.sum(force * force, axis=-1))
     least, most = jnp.maximum(magnitude - jerk * half, 0.0), magnitude + jerk * half
     upright = jnp.clip((force[..., 2] - jerk * half) / most, 0.0, 1.0)
@@ -116,12 +117,12 @@ def squared_speed_bounds(
         axis=-1,
     )
     mixer = inverse_allocation_matrix(vehicle)
-    spread = moments @ jnp.abs(mixer[:, :3]).T
-    lift = vehicle.mass * mixer[:, 3]
-    return least[..., None] * lift - spread, most[..., None] * lift + spread
+    tilting = moments @ jnp.abs(mixer[:, :3]).T
+    lift = (vehicle.mass * mixer[:, 3])[None, None]
+    return least[..., None] * lift - tilting, most[..., None] * lift + tilting
 
 
-def _squared_speeds(vehicle: Vehicle, state: FlatState | FlatStateBatch) -> tuple[Vehicle, list[Float[Array, "*b"]]]:
+def _squared_speeds(vehicle: Vehicle, state: FlatState | FlatStateBatch) -> tuple[Vehicle, list[Float[AnyArray, "*b"]]]:
     """The vehicle, cast, and the squares of what its rotors turn at [(rad/s)^2], negative where one pulls down."""
     state = jax.tree.map(jnp.asarray, state)
     vehicle = vehicle.astype(state.derivatives.dtype)
@@ -129,7 +130,7 @@ def _squared_speeds(vehicle: Vehicle, state: FlatState | FlatStateBatch) -> tupl
     return vehicle, squared_rotor_speeds(vehicle, demand.moment, vehicle.mass * demand.specific_thrust)
 
 
-def _worst(rotors: Iterable[Float[Array, "*b"]], least: Float[Array, ""], most: Float[Array, ""]) -> Float[Array, "*b"]:
+def _worst(rotors: Iterable[Float[AnyArray, "*b"]], least: Scalar, most: Scalar) -> Float[Array, "*b"]:
     """The least distance of a rotor from its nearest limit."""
     return functools.reduce(jnp.minimum, [jnp.minimum(rotor - least, most - rotor) for rotor in rotors])
 
@@ -138,7 +139,7 @@ def _middles(spline: PiecewisePolynomial, pieces: int) -> FlatState:
     """The flat states in the middles of the pieces (m, p); padding repeats the end."""
     starts = jnp.cumsum(spline.durations) - spline.durations
     shares = jnp.asarray((np.arange(pieces) + 0.5) / pieces, spline.durations.dtype)
-    return spline.state(starts[:, None] + spline.durations[:, None] * shares)
+    return spline.state(starts[:, None] + spline.durations[:, None] * shares[None])
 
 
 _decided = jax.jit(feasibility, static_argnums=2)

@@ -1,12 +1,13 @@
 """What a quadrotor is: its parameters, and what they must fulfil."""
 
-from typing import Any
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, DTypeLike, Float
+from jaxtyping import DTypeLike, Float
 
+from jaxplan.arrays import AnyArray, Scalar
 from jaxplan.errors import InputError
 from jaxplan.records import record, static
 from jaxplan.vehicle.gains import IndiGains, Se3Gains
@@ -51,41 +52,41 @@ class Vehicle:
     """
 
     name: str = static()
-    mass: Float[ArrayLike, ""]
+    mass: Scalar
     """kg."""
-    inertia: Float[ArrayLike, "3"]
+    inertia: Float[AnyArray, "3"]
     """kg m^2, principal moments about body x, y, z."""
-    rotor_positions: Float[ArrayLike, "4 3"]
+    rotor_positions: Float[AnyArray, "4 3"]
     """m, from the centre of mass, body frame."""
-    rotor_spin: Float[ArrayLike, "4"]
+    rotor_spin: Float[AnyArray, "4"]
     """+1 or -1: sign of the reaction torque on the body about +z (so the rotor itself turns about -spin z)."""
-    thrust_coefficient: Float[ArrayLike, ""]
+    thrust_coefficient: Scalar
     """N / (rad/s)^2: thrust = coefficient * speed^2, along body +z."""
-    torque_coefficient: Float[ArrayLike, ""]
+    torque_coefficient: Scalar
     """N m / (rad/s)^2: torque about body z = spin * coefficient * speed^2."""
-    rotor_inertia: Float[ArrayLike, ""]
+    rotor_inertia: Scalar
     """kg m^2, one rotor about its axis."""
-    motor_time_constant: Float[ArrayLike, ""]
+    motor_time_constant: Scalar
     """s, first order lag from commanded to actual rotor speed."""
-    rotor_speed_min: Float[ArrayLike, ""]
+    rotor_speed_min: Scalar
     """rad/s."""
-    rotor_speed_max: Float[ArrayLike, ""]
+    rotor_speed_max: Scalar
     """rad/s."""
-    drag_coefficient: Float[ArrayLike, ""]
+    drag_coefficient: Scalar
     """N / (m/s)^2: force = -coefficient |v| v, world frame."""
-    aero_moment_coefficient: Float[ArrayLike, ""]
+    aero_moment_coefficient: Scalar
     """N m / (rad/s)^2: moment = -coefficient |w| w, body frame."""
-    force_noise_psd: Float[ArrayLike, ""]
+    force_noise_psd: Scalar
     """N^2 s, white force on each world axis."""
-    moment_noise_psd: Float[ArrayLike, ""]
+    moment_noise_psd: Scalar
     """(N m)^2 s, white moment on each body axis."""
-    accelerometer_variance: Float[ArrayLike, ""]
+    accelerometer_variance: Scalar
     """(m/s^2)^2 per sample and axis."""
-    gyroscope_variance: Float[ArrayLike, ""]
+    gyroscope_variance: Scalar
     """(rad/s)^2 per sample and axis."""
-    gravity: Float[ArrayLike, ""]
+    gravity: Scalar
     """m/s^2, along world -z."""
-    radius: Float[ArrayLike, ""]
+    radius: Scalar
     """m, of the sphere about the centre of mass that stands for the vehicle in collision checks."""
     indi: IndiGains = static(default=IndiGains())
     """Gains of the default controller."""
@@ -107,7 +108,7 @@ class Vehicle:
         return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
 
 
-def _require(vehicle: Vehicle, name: str, want: str, good: Any) -> None:
+def _require(vehicle: Vehicle, name: str, want: str, good: Callable[[np.ndarray], np.ndarray | np.bool_]) -> None:
     value = np.asarray(getattr(vehicle, name), dtype=np.float64)
     shape = SHAPES.get(name, ())
     if value.shape != shape or not np.all(np.isfinite(value)) or not np.all(good(value)):

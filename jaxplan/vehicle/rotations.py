@@ -4,12 +4,13 @@ NaN goes through: nothing here hides a bad attitude.
 """
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from jaxplan.arrays import AnyArray
 from jaxplan.vehicle.vectors import length
 
 
-def rotation_from_quat(quat_wxyz: Float[Array, "4"]) -> Float[Array, "3 3"]:
+def rotation_from_quat(quat_wxyz: Float[AnyArray, "4"]) -> Float[AnyArray, "3 3"]:
     """The matrix that turns body vectors into world vectors."""
     w, x, y, z = quat_wxyz
     return jnp.stack(
@@ -21,7 +22,7 @@ def rotation_from_quat(quat_wxyz: Float[Array, "4"]) -> Float[Array, "3 3"]:
     )
 
 
-def quat_from_rotation(rotation: Float[Array, "3 3"]) -> Float[Array, "4"]:
+def quat_from_rotation(rotation: Float[AnyArray, "3 3"]) -> Float[AnyArray, "4"]:
     """The quaternion (w >= 0) of a rotation matrix, by the largest of its four components (Shepperd 1978)."""
     (a, b, c), (d, e, f), (g, h, i) = rotation
     outer = jnp.stack(  # 4 q q^T
@@ -40,7 +41,7 @@ def quat_from_rotation(rotation: Float[Array, "3 3"]) -> Float[Array, "4"]:
     return jnp.where(quat[0] < 0.0, -quat, quat)
 
 
-def rotation_vector(rotation: Float[Array, "3 3"]) -> Float[Array, "3"]:
+def rotation_vector(rotation: Float[AnyArray, "3 3"]) -> Float[AnyArray, "3"]:
     """Axis times angle [rad, at most pi] of a rotation matrix; 2 v for tiny angles."""
     quat = quat_from_rotation(rotation)
     vector = quat[1:]

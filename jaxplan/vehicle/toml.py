@@ -62,9 +62,19 @@ def _gains(path: Path, key: str, table: Any) -> IndiGains | Se3Gains:
     if not isinstance(table, dict) or not set(table) <= known:
         raise FileError(f"The table [{key}] in the vehicle file {path} is {table!r}: its keys are {sorted(known)}.")
     try:
-        return _GAINS[key](**{name: tuple(v) if isinstance(v, list) else v for name, v in table.items()})
+        return _GAINS[key](**{name: _gain(path, f"{key}.{name}", value) for name, value in table.items()})
     except InputError as error:
         raise FileError(f"The vehicle file {path} cannot be used: {error}") from error
+
+
+def _gain(path: Path, key: str, value: Any) -> float | tuple[float, ...]:
+    """``value`` as a float, or as a tuple of them."""
+    numbers = value if isinstance(value, list) else [value]
+    if not all(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers):
+        raise FileError(
+            f"The key {key!r} in the vehicle file {path} is {value!r}: want a number, or one for each axis."
+        )
+    return tuple(map(float, numbers)) if isinstance(value, list) else float(value)
 
 
 def _number(path: Path, key: str, value: Any) -> float | Float[np.ndarray, "..."]:

@@ -37,6 +37,7 @@ def test_the_benchmark_runs(tmp_path: Path) -> None:
     )
     report = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
     assert [row["flights_per_s"] > 0.0 for row in report["rows"] if "flights_per_s" in row] == [True] * 3
+    assert [row["steps_per_s"] > 0.0 for row in report["rows"] if "steps_per_s" in row] == [True] * 2
 
 
 _GROWTH = """

@@ -136,7 +136,7 @@ def test_errors_of_a_hovering_vehicle_are_answered_with_the_right_sign(vehicle: 
 
 def test_gains_are_checked() -> None:
     with pytest.raises(InputError, match="position"):
-        IndiGains(position=(1.0, 2.0))  # type: ignore[arg-type]
+        IndiGains(position=(1.0, 2.0))
     with pytest.raises(InputError, match="rates"):
         IndiGains(rates=(1.0, float("nan"), 1.0))
     with pytest.raises(InputError, match="least_specific_thrust"):

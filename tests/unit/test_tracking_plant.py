@@ -54,7 +54,7 @@ def start(**changes: object) -> PlantState:
         "rotor_speeds": np.zeros(4),
         "signals": FilterState(value=np.zeros((4, 3)), rate=np.zeros((4, 3))),
         "key": jax.random.key(0),
-        "step": np.int32(0),
+        "step": np.zeros((), np.int32),
     }
     return PlantState(**{**values, **changes})  # type: ignore[arg-type]
 

@@ -14,6 +14,7 @@ from jaxplan.tracking.filters import FilterState
 from jaxplan.tracking.rollout import CONTROL_RATE, build_plant
 from jaxplan.tracking.se3 import se3
 from jaxplan.tracking.sensing import Sensed
+from jaxplan.vehicle import params
 from jaxplan.vehicle.gains import IndiGains, Se3Gains
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.mixing import allocation_matrix
@@ -66,7 +67,7 @@ def test_an_unknown_controller_is_refused() -> None:
 
 
 def test_gains_come_from_the_vehicle_file(tmp_path: Path) -> None:
-    presets = Path(load_vehicle.__code__.co_filename).parent / "presets"
+    presets = Path(params.__file__).parent / "presets"
     text = (presets / "mfrl.toml").read_text(encoding="utf-8")
     path = tmp_path / "mine.toml"
     path.write_text(text.replace("[90.0, 90.0, 16.41]", "[80.0, 70.0, 15.0]"), encoding="utf-8")

@@ -9,6 +9,7 @@ import pytest
 import jaxplan
 from jaxplan.errors import FileError
 from jaxplan.tracking.model import vehicle_mjcf
+from jaxplan.vehicle import params
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.mjcf import vehicle_from_mjcf
 
@@ -51,7 +52,7 @@ def test_mass_inertia_rotors_and_limits_are_read(tmp_path: Path) -> None:
 def test_the_public_loader_takes_presets_toml_and_mjcf(tmp_path: Path) -> None:
     assert jaxplan.load_vehicle is load_vehicle  # there is one
     assert jaxplan.load_vehicle().name == "mfrl"
-    preset = Path(load_vehicle.__code__.co_filename).parent / "presets" / "flightgoggles.toml"
+    preset = Path(params.__file__).parent / "presets" / "flightgoggles.toml"
     assert jaxplan.load_vehicle(preset).mass == jaxplan.load_vehicle("flightgoggles").mass == 1.0
     assert jaxplan.load_vehicle(str(written(tmp_path, MINE))).mass == 0.9
 

@@ -10,11 +10,14 @@ import pytest
 
 from jaxplan.errors import FileError, InputError
 from jaxplan.records import replace
+from jaxplan.vehicle import params
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.mixing import allocation_matrix, inverse_allocation_matrix, signed_sqrt
 from jaxplan.vehicle.params import Vehicle, hover_speeds
 from jaxplan.vehicle.toml import list_presets
 from oracles.layouts import LAYOUTS
+
+PRESETS = Path(params.__file__).parent / "presets"
 
 
 @pytest.mark.parametrize(("name", "hover", "ratio"), [("mfrl", 1080.0, 4.15), ("flightgoggles", 1133.0, 3.77)])
@@ -119,7 +122,7 @@ def test_missing_file_is_named(tmp_path: Path) -> None:
     ],
 )
 def test_bad_files_name_the_key(tmp_path: Path, old: str, new: str, said: str) -> None:
-    text = (Path(load_vehicle.__code__.co_filename).parent / "presets" / "mfrl.toml").read_text(encoding="utf-8")
+    text = (PRESETS / "mfrl.toml").read_text(encoding="utf-8")
     assert old in text
     path = tmp_path / "mine.toml"
     path.write_text(text.replace(old, new), encoding="utf-8")
@@ -132,7 +135,7 @@ def test_a_copy_is_checked_and_a_file_loads_by_path(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="mass"):
         replace(vehicle, mass=0.0)
     assert isinstance(jax.tree.map(lambda leaf: leaf, vehicle), Vehicle)
-    source = Path(load_vehicle.__code__.co_filename).parent / "presets" / "mfrl.toml"
+    source = PRESETS / "mfrl.toml"
     path = tmp_path / "mine.toml"
     path.write_bytes(source.read_bytes())
     assert load_vehicle(str(path)).mass == vehicle.mass
