@@ -135,6 +135,7 @@ def taken(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     monkeypatch.setattr(train_policy, "train", begin("pretrain"))
     monkeypatch.setattr(train_mfrl, "reinforce", begin("mfrl"))
     monkeypatch.setattr(train_mfrl, "read_config", lambda folder: DatasetConfig())
+    monkeypatch.setattr(train_mfrl, "dataset_vehicle", lambda folder: None)
     monkeypatch.setattr(train_mfrl, "load_examples", lambda folder, held_out: None)
     return found
 
@@ -187,7 +188,7 @@ NOWHERE = ["--data", "x", "--run", "y", "--out", "z.npz", "--classifier", "c.npz
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        (["dataset", "--out", "x", "--shards", "0"], 10, "0 shards"),
+        (["dataset", "--out", "x", "--shards", "0"], 10, "shards is 0"),
         (["dataset", "--out", "x", "--shards", "1.5"], 2, "--shards"),
         (["pretrain", "--data", "x", "--run", "y", "--out", "z.npz", "--hidden", "0"], 10, "hidden is 0"),
         (["pretrain", "--data", "x", "--run", "y", "--out", "z.txt"], 10, "--out z.txt"),
