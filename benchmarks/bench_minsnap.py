@@ -30,15 +30,18 @@ def problems(waypoints, batch, dtype):
 
 
 def solve(points, durations):
+    """Coefficients and cost."""
     solved = minimum_snap_batch(points, durations)
     return solved.splines.position, solved.cost
 
 
 def cost(points, durations):
+    """The cost alone."""
     return minimum_snap_batch(points, durations).cost
 
 
 def cost_and_gradient(points, durations):
+    """The cost and its gradient by waypoints and durations."""
     value, pullback = jax.vjp(cost, points, durations)
     return value, pullback(jnp.ones_like(value))
 
@@ -85,6 +88,7 @@ def peers(waypoints, repeats):
 
 @in_float64
 def measure(sizes, batches, repeats):
+    """One row for each method, number of waypoints, batch and precision."""
     rows = []
     for waypoints in sizes:
         baselines = {"scipy banded": scipy_banded(waypoints, repeats), **peers(waypoints, max(repeats // 4, 1))}
@@ -116,6 +120,7 @@ def draw(rows, path):
 
 
 def main(argv=None):
+    """Measure, print and store."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--waypoints", type=int, nargs="+", default=[2, 6, 14])
     parser.add_argument("--batches", type=int, nargs="+", default=[1, 400, 4096])
