@@ -17,19 +17,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from jaxplan.batching import batch_last
-from jaxplan.errors import InputError
 from jaxplan.spline import FlatState, FlatStateBatch
 from jaxplan.status import Reason, bit
-from jaxplan.validation import require_within
+from jaxplan.validation import require_between, require_within
 
 
 @runtime_checkable
 class Decode(Protocol):
-    """A time allocation: durations of every candidate from its initial state."""
+    """A time allocation for known waypoints."""
 
     def __call__(self, initial: FlatStateBatch, /) -> Float[Array, "m k"]:
-        """Seconds per segment, 0 behind the last real one."""
+        """Durations [s] of every candidate from its initial state (SI units, world frame)."""
+        ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,8 +41,7 @@ class ArrivalConfig:
     """Largest number of calls of the time allocation."""
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.tolerance < 1.0:
-            raise InputError(f"arrival: tolerance is {self.tolerance}, want a number between 0 and 1")
+        require_between("arrival", self, 0, 1, "tolerance")
         require_within("arrival", self, 2, 1000, "max_calls")
 
 
@@ -57,6 +55,7 @@ class Arrival(NamedTuple):
     least_durations: Float[Array, "m k"]
     """Seconds per segment at alpha = 1."""
     reasons: UInt32[Array, "k"]
+    """ALPHA_LT_1 or ALPHA_NOT_CONVERGED; 0 where the arrival time is met."""
     calls: Int[Array, "k"]
     """Calls of the time allocation until the lane was done."""
 
@@ -75,11 +74,14 @@ class _Search(NamedTuple):
     trips: Int[Array, ""]
 
 
-@batch_last
 def match_arrival(
     decode: Decode, initial: FlatState | FlatStateBatch, arrival_times: Float[Array, "k"], config: ArrivalConfig
 ) -> Arrival:
-    """Find alpha for every candidate; candidates that need alpha < 1 are done after the first call."""
+    """Find alpha for every candidate; candidates that need alpha < 1 are done after the first call.
+
+    Args:
+        arrival_times: T_goal of every candidate [s from the initial state].
+    """
     log_goal = jnp.log(arrival_times)
 
     def allocate(x: Float[Array, "k"]) -> tuple[Float[Array, "m k"], Float[Array, "k"]]:
@@ -97,25 +99,24 @@ def match_arrival(
 
     zero = jnp.zeros_like(arrival_times)
     least, f = allocate(zero)
-    nan, lanes = jnp.full_like(zero, jnp.nan), jnp.ones(zero.shape, jnp.int32)
-    start = _Search(zero, f, least, zero, f, nan, nan, lanes, jnp.int32(1))
+    nan, once = jnp.full_like(zero, jnp.nan), jnp.ones(zero.shape, jnp.int32)
+    start = _Search(zero, f, least, zero, f, nan, nan, once, jnp.int32(1))
     end = jax.lax.while_loop(unfinished, step, start)
     reachable = f <= config.tolerance
     met = jnp.abs(end.f) <= config.tolerance
     alpha = jnp.where(reachable, jnp.exp(end.x), jnp.exp(-f))
-    exact = end.durations * jnp.exp(end.x) * jnp.exp(-end.f)
+    exact = end.durations * jnp.exp(end.x)[None] * jnp.exp(-end.f)[None]
     reasons = bit(~reachable, Reason.ALPHA_LT_1) | bit(reachable & ~met, Reason.ALPHA_NOT_CONVERGED)
-    return Arrival(jnp.where(met, exact, end.durations), alpha, least, reasons, end.calls)
+    return Arrival(jnp.where(met[None], exact, end.durations), alpha, least, reasons, end.calls)
 
 
-@batch_last
 def sped_up(initial: FlatState | FlatStateBatch, alpha: Float[Array, "k"]) -> FlatStateBatch:
     """alpha D: the k-th derivative times alpha^k (paper eq. 8), of position and yaw.
 
     Args:
         initial: one state for all alpha, or a batch with one for each.
     """
-    powers = alpha ** jnp.arange(5, dtype=alpha.dtype)[:, None]
+    powers = alpha[None] ** jnp.arange(5, dtype=alpha.dtype)[:, None]
     derivatives, yaw = initial.derivatives.reshape(5, 3, -1), initial.yaw.reshape(3, -1)
     return FlatStateBatch(derivatives=derivatives * powers[:, None], yaw=yaw * powers[:3])
 
@@ -134,13 +135,13 @@ def _propose(search: _Search) -> Float[Array, "k"]:
     middle = 0.5 * (search.below + search.above)
     inside = (secant > search.below) & (secant < search.above) & (search.trips % 3 != 2)
     return jnp.where(
-        bracketed, jnp.where(inside, secant, middle), search.x - search.f * _stretch(search.trips, search.x.dtype)
+        bracketed, jnp.where(inside, secant, middle), search.x - search.f * _stretch(search.trips, search.f.dtype)
     )
 
 
 def _stretch(trips: Int[Array, ""], dtype: jnp.dtype) -> Float[Array, ""]:
     """Widen the unbracketed steps as they repeat, so that a slow approach still ends."""
-    return 2.0 ** jnp.clip(trips - 3, 0, 10).astype(dtype)
+    return jnp.where(trips <= 3, 1.0, 2.0 ** jnp.minimum(trips - 3, 10).astype(dtype))
 
 
 def _narrow(search: _Search, x: Float[Array, "k"], f: Float[Array, "k"], durations: Float[Array, "m k"]) -> _Search:
@@ -160,4 +161,8 @@ def _narrow(search: _Search, x: Float[Array, "k"], f: Float[Array, "k"], duratio
 
 def _keep(active: Bool[Array, "k"], old: _Search, new: _Search) -> _Search:
     """Take the new values of the active lanes; the loop counter always moves on."""
-    return jax.tree.map(lambda a, b: b if a.ndim == 0 else jnp.where(active, b, a), old, new)
+
+    def kept(old: Array, new: Array) -> Array:
+        return new if old.ndim == 0 else jnp.where(jnp.expand_dims(active, range(old.ndim - 1)), new, old)
+
+    return jax.tree.map(kept, old, new)

@@ -13,7 +13,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxplan.arrays import AnyArray
 from jaxplan.numerics import safe_divide, safe_norm
+from jaxplan.records import record
 from jaxplan.validation import require_positive, require_within
 
 MAX_WAYPOINTS = 14
@@ -36,53 +38,60 @@ class KnotConfig:
         require_within("knots", self, 8, 4096, "samples")
 
 
-class Knots(NamedTuple):
-    """Waypoints of one path or, with a leading axis, of many; padded by repeating the goal."""
+@record
+class Knots:
+    """Waypoints of paths, padded by repeating the goal."""
 
-    waypoints: Float[Array, "*k 14 3"]
-    """[m, world]"""
-    count: Int[Array, "*k"]  # type: ignore[assignment]  # of waypoints, not tuple.count
+    waypoints: Float[Array, "*batch 14 3"]
+    """Positions [m, world]."""
+    count: Int[Array, "*batch"]
     """Waypoints in use, 2 to 14."""
 
 
-class KnottedPaths(NamedTuple):
+@record
+class SelectedRoutes:
     """k paths, or as much of each as the waypoints can carry."""
 
     knots: Knots
     """With a leading axis k."""
     samples: Float[Array, "k s 3"]
-    """The same parts of the paths at uniform arc length."""
+    """The same parts of the paths at uniform arc length [m, world]."""
     whole: Bool[Array, "k"]
     """False where only a beginning of the path is left."""
 
 
 def select_routes(
-    paths: Float[Array, "k l 3"], config: KnotConfig, shares: Float[Array, "k"] | float = 1.0
-) -> KnottedPaths:
+    paths: Float[AnyArray, "k l 3"], config: KnotConfig, shares: Float[AnyArray, "k"] | float = 1.0
+) -> SelectedRoutes:
     """Waypoints and samples of the first ``shares`` of searched paths [m] whose unused points repeat their last one."""
     sample = jax.vmap(lambda path, share: resample(path, config.samples, share))
-    placed = jax.vmap(lambda path, along: _place(path, along, config))
     whole = sample(paths, jnp.ones(len(paths), paths.dtype))
     along = jax.vmap(_parameters)(whole)
     shares = jnp.minimum(MAX_WAYPOINTS / jax.vmap(lambda one: _wanted(one, config))(along), shares)
 
     def cut() -> tuple[Knots, Array]:
         samples = sample(paths, shares)
-        return placed(samples, jax.vmap(_parameters)(samples)), samples
+        return jax.vmap(lambda path: select_knots(path, config))(samples), samples
 
-    knots, samples = jax.lax.cond(jnp.any(shares < 1.0), cut, lambda: (placed(whole, along), whole))
-    return KnottedPaths(knots, samples, shares >= 1.0)
+    def keep() -> tuple[Knots, Array]:
+        return jax.vmap(lambda path, along: _place(path, along, config))(whole, along), whole
+
+    knots, samples = jax.lax.cond(jnp.any(shares < 1.0), cut, keep)
+    return SelectedRoutes(knots=knots, samples=samples, whole=shares >= 1.0)
 
 
-def select_knots(path: Float[Array, "l 3"], config: KnotConfig) -> Knots:
-    """At most ``MAX_WAYPOINTS`` waypoints along one whole path [m] whose unused points repeat its last one."""
+def select_knots(path: Float[AnyArray, "l 3"], config: KnotConfig) -> Knots:
+    """At most ``MAX_WAYPOINTS`` waypoints along one whole path [m] whose unused points repeat their last one."""
     return _place(path, _parameters(path), config)
 
 
-def resample(path: Float[Array, "l 3"], samples: int, share: Float[Array, ""] | float = 1.0) -> Float[Array, "s 3"]:
+def resample(
+    path: Float[AnyArray, "l 3"], samples: int, share: Float[AnyArray, ""] | float = 1.0
+) -> Float[Array, "{samples} 3"]:
     """``samples`` points at uniform arc length along the first ``share`` of one path's length."""
+    path = jnp.asarray(path)
     distance = _cumulate(safe_norm(jnp.diff(path, axis=0)))
-    return interpolate_along(path, distance, jnp.linspace(0.0, 1.0, samples) * share * distance[-1])
+    return interpolate_along(path, distance, jnp.linspace(0.0, 1.0, samples, dtype=path.dtype) * share * distance[-1])
 
 
 def interpolate_along(
@@ -104,24 +113,27 @@ class _Along(NamedTuple):
     """k_c [rad]."""
 
 
-def _place(path: Float[Array, "l 3"], along: _Along, config: KnotConfig) -> Knots:
+def _place(path: Float[AnyArray, "l 3"], along: _Along, config: KnotConfig) -> Knots:
     """The waypoints, uniform in k."""
-    count = jnp.clip(jnp.ceil(_wanted(along, config)), 2, MAX_WAYPOINTS).astype(jnp.int32)
+    count = jnp.clip(jnp.ceil(_wanted(along, config)), 2, MAX_WAYPOINTS)
     parameter = 0.5 * (along.distance + along.turning)
-    share = jnp.minimum(jnp.arange(MAX_WAYPOINTS, dtype=path.dtype) / (count - 1).astype(path.dtype), 1.0)
-    return Knots(interpolate_along(path, parameter, share * parameter[-1]), count)
+    share = jnp.minimum(jnp.arange(MAX_WAYPOINTS, dtype=count.dtype) / (count - 1.0), 1.0)
+    waypoints = interpolate_along(jnp.asarray(path), parameter, share * parameter[-1])
+    return Knots(waypoints=waypoints, count=count.astype(jnp.int32))
 
 
 def _wanted(along: _Along, config: KnotConfig) -> Float[Array, ""]:
+    """max(k_d / k_d,min, k_c / k_c,min), before rounding and the upper limit; at least 2."""
     distance, turning = along.distance[-1] / config.distance_per_knot, along.turning[-1] / config.turning_per_knot
     return jnp.maximum(jnp.maximum(distance, turning), 2.0)
 
 
-def _parameters(path: Float[Array, "l 3"]) -> _Along:
+def _parameters(path: Float[AnyArray, "l 3"]) -> _Along:
+    """k_d and k_c at every point of a path [m]."""
     edges = jnp.diff(path, axis=0)
     lengths = safe_norm(edges)
     turning = _turning(edges, lengths)
-    return _Along(_cumulate(lengths), _cumulate(jnp.concatenate([jnp.zeros_like(turning[:1]), turning])))
+    return _Along(_cumulate(lengths), _cumulate(jnp.concatenate([jnp.zeros_like(lengths[:1]), turning])))
 
 
 def _turning(edges: Float[Array, "e 3"], lengths: Float[Array, "e"]) -> Float[Array, "e-1"]:

@@ -21,6 +21,6 @@ def safe_divide(
     return jnp.where(nonzero, numerator / jnp.where(nonzero, denominator, 1.0), otherwise)
 
 
-def wrap_angle(angle: Float[AnyArray, "..."]) -> Float[AnyArray, "..."]:
-    """The same direction in [-pi, pi)."""
+def wrap_angle(angle: Float[AnyArray, "*shape"]) -> Float[AnyArray, "*shape"]:
+    """The same direction in [-pi, pi) [rad]."""
     return (angle + jnp.pi) % (2.0 * jnp.pi) - jnp.pi

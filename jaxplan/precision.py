@@ -1,14 +1,15 @@
-"""The borders between float64 and float32, whatever the process's own setting says.
+"""Which part of a program computes in float64 and which in float32, whatever the process's own setting says.
 
-Entry points on the host run with 64-bit types (``in_float64``). The minimum-snap solver computes in float64 even where
-it is traced in a process without 64-bit types, and rounds its results to the caller's precision
-(``in_float64_inside``): float32 breaks the continuity of jerk and snap silently (docs/decisions/0003-precision.md).
-Plant and controller compute in float32 wherever they are called from (``float32_island``).
+``in_float64``: an entry point on the host runs with 64-bit types.
+``float64_island``: a traced function computes in float64 also in a process without 64-bit types, and rounds its results
+to the caller's precision. The minimum-snap solver is one: float32 breaks the continuity of jerk and snap silently
+(docs/decisions/0003-precision.md).
+``float32_island``: a traced function computes in float32 also within a program in float64. Plant and controller are.
 """
 
 import functools
 from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar, TypeVarTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,11 +17,11 @@ import numpy as np
 
 P = ParamSpec("P")
 R = TypeVar("R")
-T = TypeVar("T")
+Ts = TypeVarTuple("Ts")
 
 
 def in_float64(function: Callable[P, R]) -> Callable[P, R]:
-    """Run a host entry point with 64-bit JAX types, whatever the process's own setting."""
+    """Run a host entry point with 64-bit JAX types."""
 
     @functools.wraps(function)
     def scoped(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -30,64 +31,46 @@ def in_float64(function: Callable[P, R]) -> Callable[P, R]:
     return scoped
 
 
-def is_numpy(arrays: Any) -> bool:
-    """Whether every leaf is NumPy or plain Python: a call on the host, outside any transformation."""
-    return all(isinstance(a, np.ndarray | np.generic | float | int) for a in jax.tree.leaves(arrays))
-
-
-def in_float64_inside(function: Callable[..., T]) -> Callable[..., T]:
-    """``function`` of arrays, computed in float64; results have the precision of the arguments.
+def float64_island(function: Callable[[*Ts], R]) -> Callable[[*Ts], R]:
+    """``function`` of trees of floats, compiled for float64; results have the precision of the arguments.
 
     It is compiled once per shape, also where the caller does not compile. Where the process has no 64-bit types,
     reverse mode works (the gradient is computed in float64 too) and forward mode does not; where it has them, both do.
     """
-
     compiled = jax.jit(function)
 
-    def computed(*args: Any) -> T:
-        if jax.config.jax_enable_x64:  # type: ignore[attr-defined]  # set by name when JAX starts
-            return _narrowed(compiled(*_cast(args, jnp.float64)), _precision(args))
-        return _bordered(*args)
+    def island(*args: *Ts) -> R:
+        if jax.config.jax_enable_x64:  # type: ignore[attr-defined]  # jax defines its options at run time
+            return _rounded(compiled(*_cast(args, jnp.float64)), _common_precision(args))
+        return within_32_bits(*args)
 
     @jax.custom_vjp
-    def _bordered(*args: Any) -> T:
+    def within_32_bits(*args: Any) -> R:
         with jax.enable_x64(True):
-            return _narrowed(compiled(*_cast(args, jnp.float64)), jnp.dtype(jnp.float32))
+            return _rounded(compiled(*_cast(args, jnp.float64)), jnp.float32)
 
-    def forward(*args: Any) -> tuple[T, tuple]:
-        return _bordered(*args), args
+    def forward(*args: Any) -> tuple[R, tuple]:
+        return within_32_bits(*args), args
 
-    def backward(args: tuple, cotangent: T) -> tuple:
+    def backward(args: tuple, cotangent: R) -> tuple:
         with jax.enable_x64(True):
-            wide = jax.tree.map(lambda c: c.astype(jnp.float64) if c.dtype == jnp.float32 else c, cotangent)
+            wide = jax.tree.map(lambda leaf: leaf.astype(jnp.float64) if leaf.dtype == jnp.float32 else leaf, cotangent)
             return _cast(pull_back(_cast(args, jnp.float64), wide), jnp.float32)
 
     @jax.jit
-    def pull_back(args: tuple, cotangent: T) -> tuple:
+    def pull_back(args: tuple, cotangent: R) -> tuple:
         return jax.vjp(function, *args)[1](cotangent)
 
-    _bordered.defvjp(forward, backward)
-    return computed
-
-
-def _precision(args: Any) -> Any:
-    return jnp.result_type(*jax.tree.leaves(args))
-
-
-def _cast(tree: Any, dtype: Any) -> Any:
-    return jax.tree.map(lambda a: jnp.asarray(a).astype(dtype), tree)
-
-
-def _narrowed(tree: T, dtype: Any) -> T:
-    return jax.tree.map(lambda a: a.astype(dtype) if jnp.issubdtype(a.dtype, jnp.floating) else a, tree)
+    within_32_bits.defvjp(forward, backward)
+    return island
 
 
 def float32_island(function: Callable[..., R]) -> Callable[..., R]:
-    """``function`` compiled for float32: floats are cast on the way in, and 64-bit types do not exist inside.
+    """``function`` compiled for float32: floats are rounded on the way in, and 64-bit types do not exist inside.
 
-    Strong types only, so one compilation serves float64, NumPy and Python arguments. May be called under ``jit``,
-    ``vmap`` and ``scan`` of a float64 program. Products of matrices keep full float32 precision on accelerators. MJX
-    needs JAX's ordinary promotion rules, so these are set as well.
+    It takes the same arguments, of JAX, NumPy or Python and in any precision, with one compilation: all become strong
+    types. May be called under ``jit``, ``vmap`` and ``scan`` of a float64 program. Products of matrices keep full
+    float32 precision on accelerators. MJX needs JAX's ordinary promotion rules, so these are set as well.
     """
     compiled = jax.jit(function)
 
@@ -103,6 +86,20 @@ def float32_island(function: Callable[..., R]) -> Callable[..., R]:
             return compiled(*args)
 
     return island
+
+
+def _cast(tree: Any, dtype: Any) -> Any:
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf).astype(dtype), tree)
+
+
+def _rounded(tree: R, dtype: Any) -> R:
+    """The tree with its floats in another precision."""
+    return jax.tree.map(lambda leaf: leaf.astype(dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf, tree)
+
+
+def _common_precision(tree: Any) -> Any:
+    with jax.numpy_dtype_promotion("standard"):
+        return jnp.result_type(*jax.tree.leaves(tree))
 
 
 def _to_32_bits(leaf: Any) -> Any:

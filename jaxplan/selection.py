@@ -1,16 +1,15 @@
 """Checks on planned trajectories as reason bits, and the paper's choice among those that pass (eq. 9)."""
 
 import dataclasses
-from math import comb
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
 
 from jaxplan.arrays import AnyArray
-from jaxplan.batching import batch_last
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.numerics import safe_norm
+from jaxplan.polynomials import control_point_table
 from jaxplan.records import record, replace
 from jaxplan.status import Reason, bit
 from jaxplan.validation import require_at_least, require_positive, require_within
@@ -31,10 +30,9 @@ class CheckConfig:
     samples_per_segment: int = 16
     """Pieces into which the clearance check cuts a segment; more pieces give a tighter bound."""
     instants: int = 128
-    """Instants of a trajectory, evenly spread over its duration, at which the rotors are looked at."""
-
+    """Instants of a trajectory, evenly spaced over its duration, at which the rotors are looked at."""
     least_probability: float = 0.5
-    """Probability of being tracked that a trajectory needs where a classifier judges instead of the rotor limits."""
+    """Probability of being tracked that a trajectory needs where a classifier decides instead of the rotor limits."""
 
     def __post_init__(self) -> None:
         require_positive("checks", self, "max_deviation")
@@ -57,6 +55,7 @@ class Margins:
     probability: Float[AnyArray, "k"]
     """Of being tracked, by the classifier; NaN without one."""
     reasons: UInt32[AnyArray, "k"]
+    """``Reason`` bits; 0 is a trajectory that passes."""
 
 
 def check(
@@ -78,7 +77,6 @@ def check(
     return check_clearance(flown, splines, world, vehicle, config)
 
 
-@batch_last
 def check_flight(
     splines: SplineBatch,
     paths: Float[Array, "p 3 k"],
@@ -104,7 +102,6 @@ def check_flight(
     return Margins(deviation=deviation, clearance=unknown, rotor_speed=rotors, probability=probability, reasons=reasons)
 
 
-@batch_last
 def check_clearance(
     margins: Margins, splines: SplineBatch, world: World, vehicle: Vehicle, config: CheckConfig
 ) -> Margins:
@@ -131,7 +128,7 @@ def _deviation(positions: Float[Array, "m s 3 k"], paths: Float[Array, "p 3 k"])
     points = positions.reshape(-1, *positions.shape[2:])
     steps = safe_norm(jnp.diff(points, axis=0, prepend=paths[:1]), axis=1)
     travelled = jnp.cumsum(steps, axis=0)
-    share = travelled / jnp.maximum(travelled[-1], 1e-9)
+    share = travelled / jnp.maximum(travelled[-1:], 1e-9)
     place = share * (paths.shape[0] - 1)
     low = jnp.clip(jnp.nan_to_num(jnp.floor(place)), 0, paths.shape[0] - 2).astype(jnp.int32)[:, None]
     weight = place[:, None] - low.astype(place.dtype)
@@ -156,18 +153,7 @@ def _clearance_bound(
 
 
 def _acceleration_bound(splines: SplineBatch) -> Float[Array, "m k"]:
-    """An upper bound [m/s^2] of the acceleration on each segment: its control points span it (Bernstein hull)."""
-    second = _second_derivative_control_points(splines.position.shape[1])
-    points = jnp.einsum("cn,mndk->mcdk", jnp.asarray(second, splines.position.dtype), splines.position)
-    rate = jnp.where(splines.durations > 0.0, 1.0 / jnp.where(splines.durations > 0.0, splines.durations, 1.0), 0.0)
-    return jnp.max(safe_norm(points, axis=2), axis=1) * rate**2
-
-
-def _second_derivative_control_points(coefficients: int) -> np.ndarray:
-    """Map from ascending coefficients to the Bernstein coefficients of the second derivative, both on [0, 1]."""
-    degree = coefficients - 3
-    table = np.zeros((degree + 1, coefficients))
-    for point in range(degree + 1):
-        for power in range(point + 1):
-            table[point, power + 2] = (power + 2) * (power + 1) * comb(point, power) / comb(degree, power)
-    return table
+    """An upper bound [m/s^2] of the acceleration on each segment: it lies in the hull of its control points."""
+    table = control_point_table(splines.position.shape[1], derivative=2, pieces=1)
+    points = jnp.einsum("cn,mndk->mcdk", jnp.asarray(table, splines.position.dtype), splines.position)
+    return jnp.max(safe_norm(points, axis=2), axis=1) * splines.rate() ** 2

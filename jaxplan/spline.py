@@ -7,9 +7,6 @@ A spline of NumPy arrays evaluates in NumPy: in float64, without compilation, wh
 flags. A spline of JAX arrays evaluates in JAX and may stand inside any transformation.
 """
 
-import functools
-import itertools
-import math
 from collections.abc import Sequence
 from types import ModuleType
 from typing import Annotated, Any
@@ -19,8 +16,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
-from jaxplan.arrays import AnyArray, Scalar
+from jaxplan.arrays import AnyArray, Scalar, namespace
 from jaxplan.errors import InputError
+from jaxplan.polynomials import control_point_table, horner, part_table
 from jaxplan.records import record
 
 Times = float | ArrayLike
@@ -111,7 +109,7 @@ class FlatStateBatch:
 
     def at(self, *index: int) -> FlatState:
         """One of the states, by its index along each batch axis."""
-        place: Any = (..., *index)
+        place: tuple[Any, ...] = (..., *index)
         return FlatState(derivatives=self.derivatives[place], yaw=self.yaw[place])
 
 
@@ -146,18 +144,18 @@ class PiecewisePolynomial:
 
         Shape (..., 4) with yaw last, or (..., 3) where the spline has no yaw: m and rad per s^derivative.
         """
-        xp = _namespace(self.durations, t)
-        segment, s = self._locate(xp.asarray(t, dtype=self.durations.dtype), xp)
-        duration = self.durations[segment]
-        position = _horner(self.position[segment], s, duration, derivative, xp)
+        xp = namespace(self.durations, t)
+        segment, s, duration = self._locate(xp.asarray(t, dtype=self.durations.dtype), xp)
+        s, duration = s[..., None], duration[..., None]
+        position = horner(_powers(self.position[segment]), s, duration, derivative)
         if self.yaw is None:
             return position
-        yaw = _horner(self.yaw[segment][..., None], s, duration, derivative, xp)
+        yaw = horner(_powers(self.yaw[segment][..., None]), s, duration, derivative)
         return xp.concatenate([position, yaw], axis=-1)
 
     def state(self, t: Times) -> FlatState:
         """The flat state at ``t`` [s] from the start: position to snap, yaw to yaw acceleration (0 without yaw)."""
-        xp = _namespace(self.durations, t)
+        xp = namespace(self.durations, t)
         rows = [self.evaluate(t, derivative) for derivative in range(5)]
         return FlatState(
             derivatives=xp.stack([row[..., :3] for row in rows], axis=-2),
@@ -168,39 +166,40 @@ class PiecewisePolynomial:
         """The same path flown ``alpha`` times as slowly (derivative k shrinks by alpha^-k)."""
         return PiecewisePolynomial(durations=self.durations * alpha, position=self.position, yaw=self.yaw)
 
-    def sample(self, count: int) -> tuple[Float[AnyArray, "s"], Float[AnyArray, "s c"]]:
+    def sample(self, count: int) -> tuple[Float[AnyArray, "{count}"], Float[AnyArray, "{count} c"]]:
         """``count`` evenly spaced times [s] from start to end, and position (and yaw) there."""
-        xp = _namespace(self.durations)
+        xp = namespace(self.durations)
         times = xp.linspace(0.0, 1.0, count) * self.duration
         return times, self.evaluate(times)
 
     def monomials(self) -> Float[AnyArray, "m n 3"]:
         """Ascending position coefficients in the time since each segment's start [m/s^k]; 0 on padding."""
-        xp = _namespace(self.durations)
+        xp = namespace(self.durations)
         real = (self.durations > 0.0)[:, None]
         safe = xp.where(real, self.durations[:, None], 1.0)
-        powers = xp.where(real, 1.0 / safe ** np.arange(self.position.shape[1], dtype=safe.dtype)[None], 0.0)
+        exponents = np.arange(self.position.shape[1], dtype=self.durations.dtype)[None]
+        powers = xp.where(real, 1.0 / safe**exponents, 0.0)
         return self.position * powers[..., None]
 
     def bound(self, derivative: int, pieces: int = 8) -> Float[AnyArray, "m"]:
         """An upper bound of the norm of the ``derivative``-th derivative of position on each segment [m/s^k].
 
-        Rigorous between samples: on each of ``pieces`` parts the polynomial lies in the hull of its Bernstein
-        coefficients (Farouki, CAGD 29(6), 2012). The excess shrinks with pieces^-2. 1 gives speed, 2 acceleration.
+        Rigorous between samples: on each of ``pieces`` parts the polynomial lies in the hull of its control points
+        (``polynomials.control_point_table``). The excess shrinks with pieces^-2. 1 gives speed, 2 acceleration.
         """
         return self.bounds(derivative, pieces).max(axis=1)
 
-    def bounds(self, derivative: int, pieces: int) -> Float[AnyArray, "m p"]:
+    def bounds(self, derivative: int, pieces: int) -> Float[AnyArray, "m {pieces}"]:
         """``bound`` on each of the ``pieces`` parts of each segment."""
-        points = _hull(self.position, self.durations, derivative, pieces)
-        return _namespace(self.durations).sqrt((points * points).sum(axis=-1).max(axis=-1))
+        points = _control_points(self.position, self.durations, derivative, pieces)
+        return namespace(self.durations).sqrt((points * points).sum(axis=-1).max(axis=-1))
 
-    def yaw_bounds(self, derivative: int, pieces: int) -> Float[AnyArray, "m p"]:
+    def yaw_bounds(self, derivative: int, pieces: int) -> Float[AnyArray, "m {pieces}"]:
         """The same for the size of a derivative of yaw [rad/s^k]; 0 without yaw."""
-        xp = _namespace(self.durations)
+        xp = namespace(self.durations)
         if self.yaw is None:
             return xp.zeros((self.durations.shape[0], pieces), self.durations.dtype)
-        return xp.abs(_hull(self.yaw[..., None], self.durations, derivative, pieces)[..., 0]).max(axis=-1)
+        return xp.abs(_control_points(self.yaw[..., None], self.durations, derivative, pieces)[..., 0]).max(axis=-1)
 
     def split(self, t: float) -> tuple["PiecewisePolynomial", "PiecewisePolynomial"]:
         """The parts before and behind ``t`` [s], which must lie strictly inside (host, NumPy).
@@ -214,10 +213,10 @@ class PiecewisePolynomial:
         segment = int(np.searchsorted(ends, t, side="left"))
         share = (t - (ends[segment] - durations[segment])) / durations[segment]
 
-        def cut(coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def cut(coefficients: Float[np.ndarray, "m n ..."]) -> tuple[np.ndarray, np.ndarray]:
             first, second = np.array(coefficients[: segment + 1]), np.array(coefficients[segment:])
-            first[-1] = _part_table(coefficients.shape[1], 0.0, share) @ coefficients[segment]
-            second[0] = _part_table(coefficients.shape[1], share, 1.0) @ coefficients[segment]
+            first[-1] = part_table(coefficients.shape[1], 0.0, share) @ coefficients[segment]
+            second[0] = part_table(coefficients.shape[1], share, 1.0) @ coefficients[segment]
             return first, second
 
         left, right = np.array(durations[: segment + 1]), np.array(durations[segment:])
@@ -235,14 +234,17 @@ class PiecewisePolynomial:
             PiecewisePolynomial(durations=right, position=positions[1], yaw=yaws[1]),
         )
 
-    def _locate(self, t: Float[AnyArray, "*t"], xp: ModuleType) -> tuple[Int[AnyArray, "*t"], Float[AnyArray, "*t"]]:
+    def _locate(
+        self, t: Float[AnyArray, "*t"], xp: ModuleType
+    ) -> tuple[Int[AnyArray, "*t"] | np.integer, Float[AnyArray, "*t"], Float[AnyArray, "*t"]]:
+        """The segments at times ``t`` [s], the normalised times there, the segments' durations [s] (1 if padding)."""
         ends = xp.cumsum(self.durations)
         last = xp.maximum((self.durations > 0.0).sum() - 1, 0)
-        passed = t[..., None] >= ends.reshape((1,) * t.ndim + ends.shape)
-        segment = xp.clip(passed.sum(axis=-1), 0, last)
+        segment = xp.clip((t[..., None] >= ends.reshape((1,) * t.ndim + (-1,))).sum(axis=-1), 0, last)
         duration = self.durations[segment]
         local = t - (ends[segment] - duration)
-        return segment, xp.clip(local / xp.where(duration > 0.0, duration, 1.0), 0.0, 1.0)
+        duration = xp.where(duration > 0.0, duration, 1.0)
+        return segment, xp.asarray(xp.clip(local / duration, 0.0, 1.0)), duration
 
 
 def concatenate(splines: Sequence[PiecewisePolynomial]) -> PiecewisePolynomial:
@@ -262,55 +264,18 @@ def concatenate(splines: Sequence[PiecewisePolynomial]) -> PiecewisePolynomial:
     )
 
 
-def _part_table(count: int, start: float, end: float) -> Float[np.ndarray, "n n"]:
-    """Map from ascending coefficients on [0, 1] to those of the part from ``start`` to ``end``, again on [0, 1]."""
-    table = np.zeros((count, count))
-    for power in range(count):
-        for k in range(power + 1):
-            table[k, power] = math.comb(power, k) * start ** (power - k) * (end - start) ** k
-    return table
+def _powers(coefficients: Float[AnyArray, "*t n d"]) -> list[Float[AnyArray, "*t d"]]:
+    """The coefficients of each power."""
+    return [coefficients[..., power, :] for power in range(coefficients.shape[-2])]
 
 
-def _hull(
+def _control_points(
     coefficients: Float[AnyArray, "m n d"], durations: Float[AnyArray, "m"], derivative: int, pieces: int
-) -> Float[AnyArray, "m p c d"]:
-    """Bernstein coefficients of a time derivative on equal parts of every segment; 0 on padding."""
-    xp = _namespace(coefficients)
-    table = xp.asarray(_hull_table(coefficients.shape[1], derivative, pieces), dtype=coefficients.dtype)
+) -> Float[AnyArray, "m {pieces} c d"]:
+    """Control points of a time derivative on equal parts of every segment; 0 on padding."""
+    xp = namespace(coefficients)
+    table = xp.asarray(control_point_table(coefficients.shape[1], derivative, pieces), dtype=coefficients.dtype)
     real = (durations > 0.0)[:, None, None]
     rate = xp.where(real, 1.0 / xp.where(real, durations[:, None, None], 1.0) ** derivative, 0.0)
     points = xp.einsum("cn,mnd->mcd", table, coefficients) * rate
     return points.reshape(len(durations), pieces, -1, coefficients.shape[-1])
-
-
-@functools.cache
-def _hull_table(count: int, derivative: int, pieces: int) -> Float[np.ndarray, "c n"]:
-    """Map from ascending coefficients to the Bernstein coefficients of a derivative on equal parts of [0, 1]."""
-    degree = count - 1 - derivative
-    slope = np.zeros((degree + 1, count))
-    bernstein = np.zeros((degree + 1, degree + 1))
-    for power in range(degree + 1):
-        slope[power, power + derivative] = math.perm(power + derivative, derivative)
-        for point in range(power, degree + 1):
-            bernstein[point, power] = math.comb(point, power) / math.comb(degree, power)
-    cuts = np.linspace(0.0, 1.0, pieces + 1)
-    return np.concatenate([bernstein @ _part_table(degree + 1, a, b) @ slope for a, b in itertools.pairwise(cuts)])
-
-
-def _namespace(*arrays: Any) -> ModuleType:
-    """NumPy when every argument is NumPy or plain Python, else JAX."""
-    return np if all(isinstance(a, np.ndarray | np.generic | float | int | list) for a in arrays) else jnp
-
-
-def _horner(
-    coefficients: Float[AnyArray, "*t n d"],
-    s: Float[AnyArray, "*t"],
-    duration: Float[AnyArray, "*t"],
-    derivative: int,
-    xp: ModuleType,
-) -> Float[AnyArray, "*t d"]:
-    """Value of the ``derivative``-th time derivative of ascending polynomials in normalised time."""
-    value = xp.zeros(coefficients.shape[:-2] + coefficients.shape[-1:], coefficients.dtype)
-    for power in range(coefficients.shape[-2] - 1, derivative - 1, -1):
-        value = value * s[..., None] + math.perm(power, derivative) * coefficients[..., power, :]
-    return value / xp.where(duration > 0.0, duration, 1.0)[..., None] ** derivative

@@ -76,8 +76,8 @@ class PlanStatus(enum.IntEnum):
     """The target has been silent for too long; the committed trajectory stays."""
 
 
-def bit(bad: Bool[Array, "*batch"], reason: Reason) -> UInt32[Array, "*batch"]:
-    """``reason`` where ``bad``, else 0. Write ``bad`` as ``~(good)`` so that NaN counts as bad."""
+def bit(bad: Bool[Array, "*batch"], reason: enum.IntFlag) -> UInt32[Array, "*batch"]:
+    """``reason``, of any set of bits, where ``bad``, else 0. Write ``bad`` as ``~(good)`` so that NaN counts as bad."""
     return jnp.where(bad, jnp.uint32(int(reason)), jnp.uint32(0))
 
 

@@ -47,3 +47,11 @@ def require_range(owner: str, config: object, *names: str) -> None:
         low, high = getattr(config, name)
         if not 0.0 < low <= high < math.inf:
             raise InputError(f"{owner}: {name} is {(low, high)}, want two positive numbers, the lesser first")
+
+
+def require_between(owner: str, config: object, low: float, high: float, *names: str) -> None:
+    """Raise ``InputError`` unless the named fields are numbers between ``low`` and ``high``, both excluded."""
+    for name in names:
+        value = getattr(config, name)
+        if not low < value < high:
+            raise InputError(f"{owner}: {name} is {value}, want a number between {low:g} and {high:g}")

@@ -16,10 +16,10 @@ import pytest
 from hypothesis import HealthCheck, settings
 from jaxtyping import install_import_hook
 
-CHECKED = os.environ.get("JAXPLAN_TYPECHECK", "")
+CHECKED = os.environ.get("JAXPLAN_TYPECHECK", "jaxplan")
 if CHECKED:
     install_import_hook(CHECKED.split(","), "annotations.check")
-if os.environ.get("JAXPLAN_STRICT", "0") == "1":
+if os.environ.get("JAXPLAN_STRICT", "1") == "1":
     jax.config.update("jax_numpy_rank_promotion", "raise")
     jax.config.update("jax_numpy_dtype_promotion", "strict")
 

@@ -8,8 +8,9 @@ import pytest
 from sources import Import, code, offenders
 
 LAYERS = [
-    {"records", "status", "errors", "numerics", "precision", "batching", "compilation"}
-    | {"versions", "config", "weights", "mjcf_probe", "arrays", "validation", "files"},
+    {"arrays"},
+    {"records", "status", "errors", "numerics", "polynomials", "precision", "batching", "compilation"}
+    | {"versions", "config", "weights", "mjcf_probe", "validation", "files"},
     {"spline"},
     {"minsnap", "vehicle", "world"},
     {"prediction", "search", "knots", "policy", "arrival", "selection", "tracking", "feasibility"},

@@ -5,8 +5,7 @@ inverse Hessian (Nocedal & Wright, Numerical Optimization, 2006, eq. 6.17); anot
 inverse Hessian is n x n for at most about 14 unknowns, so a lane needs fewer evaluations than with limited memory.
 """
 
-from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -21,8 +20,14 @@ LONGEST_STEP = 1.0
 SHORTEST_STEP = 1e-8
 """A lane whose step shrinks below this fraction has met rounding errors and stops (arbitrary)."""
 
-Objective = Callable[[Float[Array, "n b"]], tuple[Float[Array, "b"], Float[Array, "n b"]]]
-"""Value and gradient of every lane."""
+
+@runtime_checkable
+class Objective(Protocol):
+    """What is minimised."""
+
+    def __call__(self, x: Float[Array, "n b"], /) -> tuple[Float[Array, "b"], Float[Array, "n b"]]:
+        """Value and gradient of every lane."""
+        ...
 
 
 class Minimum(NamedTuple):
@@ -58,7 +63,7 @@ def minimise(
 
     ``inverse`` is the first guess of the inverse Hessian.
     """
-    lanes = start.shape[1]
+    width = start.shape[1]
     value, gradient = objective(start)
     direction = _limited(-_matvec(inverse, gradient))
     search = _Search(
@@ -67,9 +72,9 @@ def minimise(
         gradient,
         inverse,
         direction,
-        jnp.ones(lanes, start.dtype),
+        jnp.ones(width, start.dtype),
         jnp.isfinite(value) & (-0.5 * _dot(gradient, direction) > tolerance),
-        jnp.ones(lanes, jnp.int32),
+        jnp.ones(width, jnp.int32),
         jnp.int32(1),
     )
 
@@ -82,28 +87,28 @@ def minimise(
 
 def _advance(objective: Objective, search: _Search, tolerance: float) -> _Search:
     """One evaluation of every lane."""
-    move = search.step * search.direction
+    move = search.step[None] * search.direction
     value, gradient = objective(search.x + move)
     slope = _dot(search.gradient, search.direction)
     better = search.active & (value <= search.value + SUFFICIENT_DECREASE * search.step * slope)
     inverse = _updated(search.inverse, move, gradient - search.gradient, better)
     direction = -_matvec(inverse, gradient)
     steepest = ~(_dot(direction, gradient) < 0.0)
-    direction = _limited(jnp.where(steepest, -STEEPEST * gradient, direction))
+    direction = _limited(jnp.where(steepest[None], -STEEPEST * gradient, direction))
     excess = value - search.value - search.step * slope
     shorter = search.step * jnp.clip(-0.5 * search.step * slope / jnp.where(excess > 0.0, excess, jnp.inf), 0.1, 0.5)
     shorter = jnp.where(jnp.isfinite(value), shorter, 0.1 * search.step)
     decrement = -0.5 * _dot(direction, gradient)
     keep = search.active & jnp.where(better, decrement > tolerance, shorter > SHORTEST_STEP)
     return _Search(
-        jnp.where(better, search.x + move, search.x),
+        jnp.where(better[None], search.x + move, search.x),
         jnp.where(better, value, search.value),
-        jnp.where(better, gradient, search.gradient),
+        jnp.where(better[None], gradient, search.gradient),
         inverse,
-        jnp.where(better, direction, search.direction),
+        jnp.where(better[None], direction, search.direction),
         jnp.where(better, 1.0, shorter),
         keep,
-        search.evaluations + search.active,
+        search.evaluations + search.active.astype(jnp.int32),
         search.rounds + 1,
     )
 
@@ -120,20 +125,20 @@ def _updated(
     curvature = jnp.where(use, curvature, 1.0)
     image = _matvec(inverse, change)
     stretch = (1.0 + _dot(change, image) / curvature) / curvature
-    cross = (image / curvature)[:, None] * move[None]
-    grown = inverse + stretch * move[:, None] * move[None] - cross - jnp.swapaxes(cross, 0, 1)
-    return jnp.where(use, grown, inverse)
+    cross = (image / curvature[None])[:, None] * move[None]
+    grown = inverse + stretch[None, None] * move[:, None] * move[None] - cross - jnp.swapaxes(cross, 0, 1)
+    return jnp.where(use[None, None], grown, inverse)
 
 
 def _limited(direction: Float[Array, "n b"]) -> Float[Array, "n b"]:
     longest = jnp.max(jnp.abs(direction), axis=0)
-    return direction * jnp.minimum(1.0, LONGEST_STEP / jnp.where(longest > 0.0, longest, 1.0))
+    return direction * jnp.minimum(1.0, LONGEST_STEP / jnp.where(longest > 0.0, longest, 1.0))[None]
 
 
 def _matvec(matrix: Float[Array, "n n b"], x: Float[Array, "n b"]) -> Float[Array, "n b"]:
-    total = matrix[:, 0] * x[0]
+    total = matrix[:, 0] * x[:1]
     for j in range(1, len(x)):
-        total = total + matrix[:, j] * x[j]
+        total = total + matrix[:, j] * x[j : j + 1]
     return total
 
 

@@ -45,6 +45,10 @@ class _Row(NamedTuple):
     """Row k of R_i^-T times what remains of f_i."""
 
 
+Values = list[Float[Array, "d b"]]
+"""x of one knot, by row."""
+
+
 def solve(rows: Rows, force: Float[Array, "n r d b"]) -> Float[Array, "n r d b"]:
     """x of the system for the right-hand side ``force``, which must be 0 where x is prescribed."""
     if len(force) == 0:
@@ -54,12 +58,12 @@ def solve(rows: Rows, force: Float[Array, "n r d b"]) -> Float[Array, "n r d b"]
 
 def _sweep(rows: Rows, force: Float[Array, "n r d b"]) -> Float[Array, "n r d b"]:
     """Forward elimination and back substitution."""
-    _, order, axes, lanes = force.shape
+    _, order, axes, width = force.shape
     before_next = jnp.concatenate([rows.before[1:], jnp.zeros_like(rows.before[:1])])
-    blank = jnp.zeros((order + axes, lanes), force.dtype)
+    blank = jnp.zeros((order + axes, width), force.dtype)
     nothing = [_Row(blank[0], blank[: order - 1 - k], blank[:order], blank[:axes]) for k in range(order)]
     _, factor = jax.lax.scan(_eliminate, nothing, (rows, before_next, force))
-    beyond = [jnp.zeros((axes, lanes), force.dtype)] * order
+    beyond = [jnp.zeros((axes, width), force.dtype)] * order
     _, x = jax.lax.scan(_substitute, beyond, factor, reverse=True)
     return jnp.stack(x, axis=1)
 
@@ -84,45 +88,47 @@ def _eliminate(
     for k in range(len(before)):
         rest = slice(k + 1, None)
         pivot: Any = 1.0 - _sum([row.link[k] ** 2 for row in earlier])
-        own = end[k, rest] * (before[k] * before[rest]) + start[k, rest] * (behind[k] * behind[rest])
-        own -= _sum([row.link[k] * row.link[rest] for row in earlier])
-        link = across[k] * (behind[k] * before_next)
-        right = force[k] - _sum([row.link[k] * row.right for row in earlier])
+        own = end[k, rest] * (before[k][None] * before[rest]) + start[k, rest] * (behind[k][None] * behind[rest])
+        own -= _sum([row.link[k][None] * row.link[rest] for row in earlier])
+        link = across[k] * (behind[k][None] * before_next)
+        right = force[k] - _sum([row.link[k][None] * row.right for row in earlier])
         for j, row in enumerate(rows):
             factor = row.own[k - j - 1]
             pivot -= factor**2
-            own -= factor * row.own[k - j :]
-            link -= factor * row.link
-            right -= factor * row.right
+            own -= factor[None] * row.own[k - j :]
+            link -= factor[None] * row.link
+            right -= factor[None] * row.right
         root = jnp.sqrt(pivot)
-        rows.append(_Row(root, own / root, link / root, right / root))
+        rows.append(_Row(root, own / root[None], link / root[None], right / root[None]))
     return rows, rows
 
 
-def _substitute(later: list[Float[Array, "d b"]], rows: list[_Row]) -> tuple[list[Array], list[Array]]:
+def _substitute(later: Values, rows: list[_Row]) -> tuple[Values, Values]:
     """The backward step: from x of the next knot to x of this knot."""
-    x: list[Array] = []
+    x: Values = []
     for row in reversed(rows):
-        known = _sum([row.link[j] * value for j, value in enumerate(later)])
-        known += _sum([row.own[j] * value for j, value in enumerate(x)])
-        x.insert(0, (row.right - known) / row.pivot)
+        known = _sum([row.link[j][None] * value for j, value in enumerate(later)])
+        known += _sum([row.own[j][None] * value for j, value in enumerate(x)])
+        x.insert(0, (row.right - known) / row.pivot[None])
     return x, x
 
 
-def _energy_blocks(order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _energy_blocks(
+    order: int,
+) -> tuple[Float[np.ndarray, "r r"], Float[np.ndarray, "r r"], Float[np.ndarray, "r r"]]:
     """K_ss, K_ee and K_se: the energy of a segment in the derivatives at its start and its end."""
     energy = hermite.energy(order)
     start, end = slice(1, order + 1), slice(order + 2, 2 * order + 2)
     return energy[start, start], energy[end, end], energy[start, end]
 
 
-def _off_diagonal(matrix: np.ndarray) -> np.ndarray:
+def _off_diagonal(matrix: Float[np.ndarray, "r r"]) -> Float[np.ndarray, "r r"]:
     return matrix - np.diag(np.diag(matrix))
 
 
-def _apply(matrix: np.ndarray, x: Float[Array, "n r d b"]) -> Float[Array, "n r d b"]:
-    columns = jnp.asarray(matrix, x.dtype)[:, :, None, None]
-    return _sum([columns[:, j] * x[:, j : j + 1] for j in range(x.shape[1])])
+def _apply(matrix: Float[np.ndarray, "r r"], x: Float[Array, "n r d b"]) -> Float[Array, "n r d b"]:
+    columns = jnp.asarray(matrix, x.dtype)[None, :, :, None, None]
+    return _sum([columns[:, :, j] * x[:, j : j + 1] for j in range(x.shape[1])])
 
 
 def _sum(terms: list[Array]) -> Any:

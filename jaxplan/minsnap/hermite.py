@@ -17,19 +17,20 @@ import math
 from fractions import Fraction
 
 import numpy as np
+from jaxtyping import Float
 
 Matrix = list[list[Fraction]]
 
 
 @functools.cache
-def coefficients(order: int) -> np.ndarray:
-    """(2r+2, 2r+2) map from end values to ascending coefficients in normalised time."""
+def coefficients(order: int) -> Float[np.ndarray, "{2*order+2} {2*order+2}"]:
+    """Map from end values to ascending coefficients in normalised time."""
     return _to_float(_coefficients_exact(order))
 
 
 @functools.cache
-def energy(order: int) -> np.ndarray:
-    """(2r+2, 2r+2) symmetric matrix of the integral of the squared ``order``-th derivative over [0, 1]."""
+def energy(order: int) -> Float[np.ndarray, "{2*order+2} {2*order+2}"]:
+    """Symmetric matrix of the integral of the squared ``order``-th derivative over [0, 1]."""
     n = 2 * order + 2
     basis = _coefficients_exact(order)
     gram = [[Fraction(0)] * n for _ in range(n)]
@@ -41,8 +42,8 @@ def energy(order: int) -> np.ndarray:
 
 
 @functools.cache
-def energy_root(order: int) -> np.ndarray:
-    """(r+2, 2r+2) matrix whose Gram matrix is ``energy``: the r-th derivative in orthonormal Legendre polynomials.
+def energy_root(order: int) -> Float[np.ndarray, "{order+2} {2*order+2}"]:
+    """Matrix whose Gram matrix is ``energy``: the r-th derivative in orthonormal Legendre polynomials.
 
     Squaring after the projection instead of before keeps the energy accurate where it is small beside its parts.
     """
@@ -56,20 +57,6 @@ def energy_root(order: int) -> np.ndarray:
                 weights[a] += factor * Fraction(math.perm(a, order), a - order + power + 1)
         rows.append(weights)
     return np.sqrt(2.0 * np.arange(order + 2)[:, None] + 1.0) * _to_float(_multiply(rows, basis))
-
-
-def reversal(order: int) -> np.ndarray:
-    """(r,) signs of the derivatives 1..r when time runs backwards."""
-    return (-1.0) ** np.arange(1, order + 1)
-
-
-def derivative_table(order: int, s: np.ndarray, derivative: int) -> np.ndarray:
-    """(S, 2r+2) rows that evaluate the ``derivative``-th derivative in s from ascending coefficients."""
-    n = 2 * order + 2
-    table = np.zeros((len(s), n))
-    for power in range(derivative, n):
-        table[:, power] = math.perm(power, derivative) * np.asarray(s) ** (power - derivative)
-    return table
 
 
 @functools.cache
@@ -116,5 +103,5 @@ def _transpose(a: Matrix) -> Matrix:
     return [list(column) for column in zip(*a, strict=True)]
 
 
-def _to_float(a: Matrix) -> np.ndarray:
+def _to_float(a: Matrix) -> Float[np.ndarray, "m n"]:
     return np.array([[float(value) for value in row] for row in a])

@@ -1,24 +1,31 @@
-"""``minimum_snap_batch``: many minimum-snap problems of mixed length at once, checked lane by lane."""
+"""``minimum_snap_batch``: many minimum-snap problems of mixed length at once, each with a status of its own."""
 
 import functools
-from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, UInt32
+from jaxtyping import Array, Bool, Float, UInt32
 from numpy.typing import ArrayLike
 
-from jaxplan.arrays import AnyArray
-from jaxplan.batching import batch_last, in_parts
+from jaxplan.arrays import AnyArray, is_numpy, namespace
+from jaxplan.batching import in_threads
 from jaxplan.errors import InputError
 from jaxplan.minsnap.quadratic_program import Ends, cost, knot_derivatives, make_problem, segment_coefficients
 from jaxplan.minsnap.single import POSITION_ORDER, YAW_ORDER, Terminal, ends_of, interpolate, yaw_ends
 from jaxplan.minsnap.spline_batch import SplineBatch
-from jaxplan.minsnap.status import RESIDUAL_LIMIT, SolveStatus, finite_problems, flag, problem_status, unsolved
-from jaxplan.precision import in_float64_inside, is_numpy
+from jaxplan.minsnap.status import (
+    RESIDUAL_LIMIT,
+    UNSOLVED,
+    SolveStatus,
+    finite_problems,
+    has_any,
+    problem_status,
+)
+from jaxplan.precision import float64_island
 from jaxplan.records import record
+from jaxplan.status import bit
 
 
 @record
@@ -28,7 +35,7 @@ class MinimumSnapBatch:
     splines: SplineBatch
     """Position and yaw; yaw is 0 where none was asked for."""
     cost: Float[AnyArray, "b"]
-    """Integral of the squared snap [m^2/s^7]; infinite where the problem could not be solved."""
+    """Integral of the squared snap [m^2/s^7]; infinite where the problem was not attempted."""
     yaw_cost: Float[AnyArray, "b"]
     """Integral of the squared yaw acceleration [rad^2/s^3]."""
     residual: Float[AnyArray, "b"]
@@ -38,22 +45,22 @@ class MinimumSnapBatch:
 
 
 def minimum_snap_batch(
-    waypoints: Annotated[ArrayLike, "m+1 3 b"],
+    waypoints: Annotated[ArrayLike, "n 3 b"],
     durations: Annotated[ArrayLike, "m b"],
     *,
-    initial: Annotated[ArrayLike, "r 3 b or r 3"] | None = None,
-    terminal: Terminal | Annotated[ArrayLike, "r 3 b or r 3"] = "rest",
+    initial: Annotated[ArrayLike, "fixed_order 3 b, or without b"] | None = None,
+    terminal: Terminal | Annotated[ArrayLike, "fixed_order 3 b, or without b"] = "rest",
     fixed_order: int = 4,
-    yaw: Annotated[ArrayLike, "m+1 b"] | None = None,
-    initial_yaw: Annotated[ArrayLike, "2 b or 2"] | None = None,
+    yaw: Annotated[ArrayLike, "n b, or without b"] | None = None,
+    initial_yaw: Annotated[ArrayLike, "2 b, or without b"] | None = None,
 ) -> MinimumSnapBatch:
     """``minimum_snap`` for b problems at once: the batch is the **last** axis, for speed.
 
-    Problems of fewer segments are padded: durations of 0 behind the last real one, and any waypoints there. The work
-    is linear in m. A bad problem gets a status, an infinite cost and an empty spline, and changes nothing in the
-    others. May stand inside ``jit``, ``vmap`` and ``grad``, with and without 64-bit types: the solve is in float64
-    and the results have the precision of the arguments. NumPy in gives NumPy out, in float64, compiled once per shape,
-    large batches in parts on all cores.
+    A problem has n = m + 1 waypoints [m] and m durations [s]. One of fewer segments is padded: durations of 0 behind
+    the last real one, and any waypoints there. The work is linear in m. A bad problem gets a status, an infinite cost
+    and an empty spline, and changes nothing in the others. May stand inside ``jit``, ``vmap`` and ``grad``, with and
+    without 64-bit types: the solve is in float64 and the results have the precision of the arguments. NumPy in gives
+    NumPy out, in float64, compiled once per shape, large batches in parts on all cores.
 
     The gradient of ``cost`` follows the envelope theorem, that of the splines a second solve: about the price of the
     first, at any order. (Forward mode needs a process with 64-bit types.)
@@ -66,89 +73,100 @@ def minimum_snap_batch(
         InputError: shapes that do not fit, or an unknown ``terminal`` or ``fixed_order``.
     """
     ends = ends_of("minimum_snap_batch", terminal, fixed_order)
-    segments, lanes = _shape(waypoints, durations)
+    segments, width = _shape(waypoints, durations)
     arrays = (
         waypoints,
         durations,
-        _ends_array("initial", initial, (POSITION_ORDER, 3), fixed_order, lanes),
-        _ends_array("terminal", terminal if ends.goal_moves else None, (POSITION_ORDER, 3), fixed_order, lanes),
-        _ends_array("yaw", yaw, (segments + 1,), segments + 1, lanes),
-        _ends_array("initial_yaw", initial_yaw, (YAW_ORDER,), YAW_ORDER, lanes),
+        _for_each("initial", initial, (POSITION_ORDER, 3), fixed_order, width),
+        _for_each("terminal", terminal if ends.goal_moves else None, (POSITION_ORDER, 3), fixed_order, width),
+        _for_each("yaw", yaw, (segments + 1,), segments + 1, width),
+        _for_each("initial_yaw", initial_yaw, (YAW_ORDER,), YAW_ORDER, width),
     )
     if not is_numpy(arrays):
-        wanted = [a for a in arrays if a is not None]
-        present = tuple(a is not None for a in arrays)
-        return _bordered(ends, present)(*wanted)
+        return _in_float64(ends)(*arrays)
     wide = tuple(None if a is None else np.asarray(a, dtype=np.float64) for a in arrays)
-    return in_parts(lambda part: _compiled(ends, *part), wide, lanes)
+    return in_threads(lambda part: _compiled(ends, *part), wide, width)
+
+
+@runtime_checkable
+class _Solver(Protocol):
+    """``solve_batch`` for known ends."""
+
+    def __call__(
+        self,
+        waypoints: Any,
+        durations: Any,
+        initial: Any | None,
+        terminal: Any | None,
+        yaw: Any | None,
+        initial_yaw: Any | None,
+        /,
+    ) -> MinimumSnapBatch:
+        """Solutions in the precision of the arrays, whose shapes and units are those of ``solve_batch``."""
+        ...
 
 
 @functools.cache
-def _bordered(ends: Ends, present: tuple[bool, ...]) -> Callable[..., MinimumSnapBatch]:
-    return in_float64_inside(functools.partial(_unpacked, ends, present))
+def _in_float64(ends: Ends) -> _Solver:
+    """The solver for the ends, compiled once per shape."""
+    return float64_island(functools.partial(solve_batch, ends))
 
 
-def _unpacked(ends: Ends, present: tuple[bool, ...], *wanted: Array) -> MinimumSnapBatch:
-    values = iter(wanted)
-    arguments: list[Any] = [next(values) if there else None for there in present]
-    return solve_batch(ends, *arguments)
-
-
-@batch_last
 def solve_batch(
     ends: Ends,
-    waypoints: Float[Array, "knots 3 b"],
+    waypoints: Float[Array, "n 3 b"],
     durations: Float[Array, "m b"],
     initial: Float[Array, "4 3 b"] | None,
     terminal: Float[Array, "4 3 b"] | None,
-    yaw: Float[Array, "knots b"] | None,
+    yaw: Float[Array, "n b"] | None,
     initial_yaw: Float[Array, "2 b"] | None,
 ) -> MinimumSnapBatch:
-    """The traced core of ``minimum_snap_batch``, in the precision of its arguments."""
-    lanes, dtype = durations.shape[-1], durations.dtype
+    """The traced core of ``minimum_snap_batch``, through n = m + 1 waypoints, in the precision of its arguments."""
+    width, dtype = durations.shape[-1], durations.dtype
     given = [a[: ends.fixed] for a in (initial, terminal) if a is not None]
     given += [a[:, None] for a in (yaw, initial_yaw) if a is not None]
-    initial = jnp.zeros((POSITION_ORDER, 3, lanes), dtype) if initial is None else initial
+    initial = jnp.zeros((POSITION_ORDER, 3, width), dtype) if initial is None else initial
     status = problem_status(waypoints, durations, *given)
-    skip = unsolved(status)
+    skip = has_any(status, UNSOLVED)
     points, times = finite_problems(waypoints, durations, skip)
-    start = jnp.where(skip, 0.0, initial)
-    goal = None if terminal is None else jnp.where(skip, 0.0, terminal)
+    start = jnp.where(skip[None, None], 0.0, initial)
+    goal = None if terminal is None else jnp.where(skip[None, None], 0.0, terminal)
     problem = make_problem(times, points, start, goal, ends)
     knots = knot_derivatives(problem, ends)
     position = segment_coefficients(problem, points[:-1], knots)
     value, residual = cost(problem, ends)
     value = jnp.where(skip, jnp.inf, value)
     heading, yaw_value = _solve_yaw(times, yaw, initial_yaw, skip, ends)
-    status |= flag(~(residual <= RESIDUAL_LIMIT), SolveStatus.ILL_CONDITIONED)
+    status |= bit(~(residual <= RESIDUAL_LIMIT), SolveStatus.ILL_CONDITIONED)
     splines = SplineBatch(durations=times, position=position, yaw=heading)
     return MinimumSnapBatch(splines=splines, cost=value, yaw_cost=yaw_value, residual=residual, status=status)
 
 
 def _solve_yaw(
     times: Float[Array, "m b"],
-    yaw: Float[Array, "knots b"] | None,
+    yaw: Float[Array, "n b"] | None,
     initial_yaw: Float[Array, "2 b"] | None,
-    skip: Array,
+    skip: Bool[Array, "b"],
     ends: Ends,
 ) -> tuple[Float[Array, "m 6 1 b"], Float[Array, "b"]]:
     """Yaw splines and their cost: 0 where no yaw was asked for."""
-    segments, lanes = times.shape
+    segments, width = times.shape
     if yaw is None and initial_yaw is None:
-        return jnp.zeros((segments, 6, 1, lanes), times.dtype), jnp.zeros(lanes, times.dtype)
-    headings = jnp.zeros((segments + 1, lanes), times.dtype) if yaw is None else yaw
-    turning = jnp.zeros((YAW_ORDER, lanes), times.dtype) if initial_yaw is None else initial_yaw
-    turning = jnp.where(skip, 0.0, turning)[:, None]
-    headings, _ = finite_problems(headings[:, None], times, skip)
-    position, _ = interpolate(times, headings, turning, None, yaw_ends(ends))
-    return position, cost(make_problem(times, headings, turning, None, yaw_ends(ends)), yaw_ends(ends))[0]
+        return jnp.zeros((segments, 6, 1, width), times.dtype), jnp.zeros(width, times.dtype)
+    angles = jnp.zeros((segments + 1, width), times.dtype) if yaw is None else yaw
+    rates = jnp.zeros((YAW_ORDER, width), times.dtype) if initial_yaw is None else initial_yaw
+    rates = jnp.where(skip[None], 0.0, rates)[:, None]
+    angles, _ = finite_problems(angles[:, None], times, skip)
+    ends = yaw_ends(ends)
+    coefficients, _ = interpolate(times, angles, rates, None, ends)
+    return coefficients, cost(make_problem(times, angles, rates, None, ends), ends)[0]
 
 
 _compiled = jax.jit(solve_batch, static_argnums=0)
 
 
-def _shape(waypoints: Any, durations: Any) -> tuple[int, int]:
-    """Segments and problems, from shapes that fit."""
+def _shape(waypoints: ArrayLike, durations: ArrayLike) -> tuple[int, int]:
+    """How many segments and problems, from shapes that fit."""
     have, times = np.shape(waypoints), np.shape(durations)
     if len(have) != 3 or have[1] != 3 or have[0] < 2:
         raise InputError(
@@ -159,15 +177,15 @@ def _shape(waypoints: Any, durations: Any) -> tuple[int, int]:
     return have[0] - 1, have[2]
 
 
-def _ends_array(name: str, value: Any, shape: tuple[int, ...], rows: int, lanes: int) -> Any:
-    """``value`` with all its rows and the batch as last axis; None stays None."""
+def _for_each(name: str, value: ArrayLike | None, shape: tuple[int, ...], rows: int, width: int) -> AnyArray | None:
+    """``value`` of at least ``rows`` rows as an array of ``shape`` with the batch behind; None stays None."""
     if value is None:
         return None
-    xp = np if is_numpy(value) else jnp
+    xp = namespace(value)
     have = np.shape(value)
     if len(have) == len(shape):
         value, have = xp.asarray(value)[..., None], (*have, 1)
-    if have[0] not in (rows, shape[0]) or have[1:-1] != shape[1:] or have[-1] not in (1, lanes):
-        raise InputError(f"minimum_snap_batch: {name} has shape {np.shape(value)}, want {(rows, *shape[1:], lanes)}")
+    if have[0] not in (rows, shape[0]) or have[1:-1] != shape[1:] or have[-1] not in (1, width):
+        raise InputError(f"minimum_snap_batch: {name} has shape {np.shape(value)}, want {(rows, *shape[1:], width)}")
     missing = ((0, shape[0] - have[0]), *((0, 0) for _ in have[1:]))
-    return xp.broadcast_to(xp.pad(xp.asarray(value), missing), (*shape, lanes))
+    return xp.broadcast_to(xp.pad(xp.asarray(value), missing), (*shape, width))

@@ -9,8 +9,9 @@ from typing import Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
+from jaxplan.arrays import AnyArray
 from jaxplan.minsnap.single import YAW_ORDER, interpolate
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.spline import FlatState
@@ -18,48 +19,51 @@ from jaxplan.spline import FlatState
 
 @runtime_checkable
 class Margin(Protocol):
-    """How far one flat state is from the vehicle's limits (``vehicle.limits.rotor_limit_margin``)."""
+    """A limit of the vehicle, for example ``vehicle.limits.rotor_limit_margin`` of one vehicle."""
 
     def __call__(self, state: FlatState, /) -> Float[Array, ""]:
-        """Positive inside the limits, in any unit."""
+        """How far one flat state (SI units, world frame) is from the limit: positive inside, in any unit."""
+        ...
 
 
 @runtime_checkable
 class LeastMargin(Protocol):
-    """The least margin of the best trajectory for given durations, over its sampled instants."""
+    """A margin along trajectories."""
 
     def __call__(self, durations: Float[Array, "m b"], /) -> Float[Array, "b"]:
-        """``durations`` in seconds per segment."""
+        """The least margin at the sampled instants of the best trajectories for given durations [s]."""
+        ...
 
 
 @runtime_checkable
 class Reshare(Protocol):
-    """Distributes a total time best."""
+    """A distribution of a total time over the segments."""
 
     def __call__(self, durations: Float[Array, "m b"], total: Float[Array, "b"], /) -> Float[Array, "m b"]:
-        """From ``durations`` [s] to others that add up to ``total`` [s]."""
+        """The best durations [s] found from the given ones that add up to ``total`` [s]."""
+        ...
 
 
 def least_margin(
     margin: Margin,
-    points: Float[Array, "knots 3 b"],
+    points: Float[Array, "n 3 b"],
     initial: Float[Array, "4 3 b"],
-    yaw: Float[Array, "knots b"] | None,
+    yaw: Float[Array, "n b"] | None,
     durations: Float[Array, "m b"],
     instants: int,
 ) -> Float[Array, "b"]:
-    """The least ``margin`` at instants evenly spread over each minimum-snap trajectory."""
+    """The least ``margin`` at instants evenly spread over each minimum-snap trajectory through n = m + 1 points."""
     position, _ = interpolate(durations, points, initial)
     heading = jnp.zeros((len(durations), 6, 1, durations.shape[-1]), durations.dtype)
     if yaw is not None:
         heading, _ = interpolate(durations, yaw[:, None], jnp.zeros((YAW_ORDER, 1, yaw.shape[-1]), yaw.dtype))
     states = SplineBatch(durations=durations, position=position, yaw=heading).states(instants)
 
-    def margin_of(derivatives: Float[Array, "5 3"], yaw: Float[Array, "3"]) -> Float[Array, ""]:
+    def margin_of(derivatives: Float[AnyArray, "5 3"], yaw: Float[AnyArray, "3"]) -> Float[Array, ""]:
         return margin(FlatState(derivatives=derivatives, yaw=yaw))
 
     each = jax.vmap(jax.vmap(margin_of, in_axes=-1, out_axes=-1), in_axes=-1, out_axes=-1)
-    return jnp.min(each(jnp.asarray(states.derivatives), jnp.asarray(states.yaw)), axis=0)
+    return jnp.min(each(states.derivatives, states.yaw), axis=0)
 
 
 def shortest_alternated(
@@ -71,14 +75,14 @@ def shortest_alternated(
 ) -> tuple[Float[Array, "m b"], Bool[Array, "b"]]:
     """The shortest feasible total time at the best ratios found for it, and whether there is one.
 
-    ``reshare`` distributes a total time best, from given durations; it alternates with the search for the total time.
+    ``reshare`` alternates with the search for the total time.
     """
     best, feasible = _shortest(least, durations, bisections)
     for _ in range(rounds - 1):
         total = jnp.where(feasible, jnp.sum(best, axis=0), jnp.sum(durations, axis=0))
         shorter, found = _shortest(least, reshare(best, total), bisections)
         better = found & ~(feasible & (jnp.sum(best, axis=0) <= jnp.sum(shorter, axis=0)))
-        best, feasible = jnp.where(better, shorter, best), feasible | found
+        best, feasible = jnp.where(better[None], shorter, best), feasible | found
     return best, feasible
 
 
@@ -98,11 +102,11 @@ def _shortest(
     feasible = jnp.any(passed, axis=0)
     high = factors[jnp.argmax(passed, axis=0)]
 
-    def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
+    def halve(_: Int[Array, ""], bracket: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bracket
         middle = jnp.sqrt(low * high)
-        good = inside(middle * durations)
+        good = inside(middle[None] * durations)
         return jnp.where(good, low, middle), jnp.where(good, middle, high)
 
     _, high = jax.lax.fori_loop(0, bisections, halve, (high / 1.25, high))
-    return high * durations, feasible
+    return high[None] * durations, feasible

@@ -28,7 +28,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxplan.batching import batch_last
 from jaxplan.minsnap import block_tridiagonal, hermite
 
 
@@ -59,24 +58,22 @@ REST = Ends(4)
 """Everything is given at the start, and the goal is reached at rest."""
 
 
-@batch_last
 def make_problem(
     durations: Float[Array, "m b"],
-    points: Float[Array, "knots d b"],
+    points: Float[Array, "n d b"],
     initial: Float[Array, "r d b"],
     terminal: Float[Array, "r d b"] | None,
     ends: Ends,
 ) -> Problem:
-    """The problem between waypoints, with derivatives given at the ends as ``ends`` says."""
+    """The problem through n = m + 1 waypoints, with the derivatives that ``ends`` wants given at the ends."""
     steps = jnp.where((durations > 0.0)[:, None], jnp.diff(points, axis=0), 0.0)
     given = _given(initial.shape[0], ends)[:, None]
     goal = jnp.where(given, terminal, 0.0) if terminal is not None and ends.goal_moves else None
     return Problem(durations, steps, jnp.where(given, initial, 0.0), goal)
 
 
-@batch_last
-def knot_derivatives(problem: Problem, ends: Ends) -> Float[Array, "knots r d b"]:
-    """Optimal derivatives 1..r at every knot; 0 behind the last real one."""
+def knot_derivatives(problem: Problem, ends: Ends) -> Float[Array, "n r d b"]:
+    """Optimal derivatives 1..r at each of the n = m + 1 knots; 0 behind the last real one."""
     powers, push = _weights(problem.durations, len(problem.start))
     inner = _unknown_knots(problem, ends)
     before, behind = _around(powers, inner)
@@ -92,15 +89,13 @@ def knot_derivatives(problem: Problem, ends: Ends) -> Float[Array, "knots r d b"
     return _with_ends(problem, solved * scale[:, :, None])
 
 
-@batch_last
 def cost(problem: Problem, ends: Ends) -> tuple[Float[Array, "b"], Float[Array, "b"]]:
     """The optimal cost, the integral of the squared r-th derivative [m^2/s^(2r-1)], and its ``gradient``'s residual."""
     return _cost_of(ends)(problem)
 
 
-@batch_last
 def gradient(
-    problem: Problem, knots: Float[Array, "knots r d b"], ends: Ends
+    problem: Problem, knots: Float[Array, "n r d b"], ends: Ends
 ) -> tuple[Float[Array, "b"], Problem, Float[Array, "b"]]:
     """The cost at its optimal ``knots``, its gradient, and how far the optimality conditions are from holding.
 
@@ -121,12 +116,12 @@ def gradient(
     scale = _scale(*_around(powers, inner), _known(problem, ends)[inner])[:, :, None]
     slopes = jnp.abs(_around(from_left, inner)[0] + _around(from_right, inner)[1]) * scale
     bound = jnp.where(total > 0.0, 2.0 * jnp.sqrt(total), 1.0)
-    residual = jnp.max(functools.reduce(jnp.maximum, _rows(slopes)) / bound, axis=0, initial=0.0)
+    residual = jnp.max(functools.reduce(jnp.maximum, _rows(slopes)) / bound[None], axis=0, initial=0.0)
     return total, Problem(by_duration, by_step, by_start, by_goal), residual
 
 
 def _energies(
-    problem: Problem, knots: Float[Array, "knots r d b"], root: np.ndarray
+    problem: Problem, knots: Float[Array, "n r d b"], root: Float[np.ndarray, "i j"]
 ) -> tuple[Float[Array, "m b"], Float[Array, "m b"], list[Float[Array, "m d b"]]]:
     """The cost of each segment, its derivative by the duration, and twice the Legendre components it is made of.
 
@@ -144,9 +139,10 @@ def _energies(
     return energies, by_duration, [doubled[:, row] for row in range(order + 2)]
 
 
-@batch_last
-def segment_coefficients(problem: Problem, starts: Float[Array, "m d b"], knots: Float[Array, "knots r d b"]) -> Array:
-    """Ascending coefficients (m, n, d, b) in normalised time (n = 2r+2) from waypoints and knot derivatives."""
+def segment_coefficients(
+    problem: Problem, starts: Float[Array, "m d b"], knots: Float[Array, "n r d b"]
+) -> Float[Array, "m 2*r+2 d b"]:
+    """Ascending coefficients in normalised time from the segments' first waypoints and the knots' derivatives."""
     order = knots.shape[1]
     columns = np.concatenate([np.eye(2 * order + 2, 1), hermite.coefficients(order)[:, 1:]], axis=1)
     return _combine(columns, [starts, *_end_values(problem, knots)])
@@ -169,7 +165,7 @@ def _cost_of(ends: Ends) -> Callable[[Problem], tuple[Array, Array]]:
     return optimal
 
 
-def _end_values(problem: Problem, knots: Float[Array, "knots r d b"]) -> list[Float[Array, "m d b"]]:
+def _end_values(problem: Problem, knots: Float[Array, "n r d b"]) -> list[Float[Array, "m d b"]]:
     """End values of each segment in normalised time: derivatives at its start, step, derivatives at its end."""
     powers = _powers(problem.durations, knots.shape[1])
     left = [knots[:-1, k] * power[:, None] for k, power in enumerate(powers)]
@@ -182,7 +178,7 @@ def _scale(
 ) -> Float[Array, "k r b"]:
     """1 / sqrt of the energy's diagonal at the free knot derivatives, 0 elsewhere."""
     order = before.shape[1]
-    weight = jnp.asarray(np.diag(hermite.energy(order))[1 : order + 1], before.dtype)[:, None]
+    weight = jnp.asarray(np.diag(hermite.energy(order))[1 : order + 1], before.dtype)[None, :, None]
     diagonal = weight * (before * before + behind * behind)
     free = ~known & (diagonal > 0.0)
     return jnp.where(free, jax.lax.rsqrt(jnp.where(free, diagonal, 1.0)), 0.0)
@@ -196,9 +192,9 @@ def _pull(
     energy, inner, scale = hermite.energy(order), _unknown_knots(problem, ends), scale[:, :, None]
     start, end, goal = slice(1, order + 1), slice(order + 2, 2 * order + 2), order + 1
     steps = (problem.steps * push[:, None])[:, None]
-    column = jnp.asarray(energy[:, goal], steps.dtype)[:, None, None]
+    column = jnp.asarray(energy[:, goal], steps.dtype)[None, :, None, None]
     (before, behind), (step_before, step_behind) = _around(powers[:, :, None], inner), _around(steps, inner)
-    pull = scale * (column[end] * before * step_before + column[start] * behind * step_behind)
+    pull = scale * (column[:, end] * before * step_before + column[:, start] * behind * step_behind)
     values = _with_ends(problem, None)
     count = 1 if problem.goal is None else len(powers)
     weights = powers[:count]
@@ -210,7 +206,7 @@ def _pull(
     return pull.at[: len(given)].add(scale[: len(given)] * given)
 
 
-def _with_ends(problem: Problem, free: Float[Array, "k r d b"] | None) -> Float[Array, "knots r d b"]:
+def _with_ends(problem: Problem, free: Float[Array, "k r d b"] | None) -> Float[Array, "n r d b"]:
     """Derivatives at every knot: the unknown ones, 0 when omitted, and the prescribed ones."""
     count = len(problem.durations) + 1
     nothing = jnp.zeros_like(problem.start)[None]
@@ -222,8 +218,8 @@ def _with_ends(problem: Problem, free: Float[Array, "k r d b"] | None) -> Float[
         knots = jnp.concatenate([problem.start[None], free, nothing])
     if problem.goal is None:
         return knots
-    at_goal = jnp.arange(count)[:, None] == _count(problem.durations)
-    return jnp.where(at_goal[:, None, None], knots + problem.goal, knots)
+    at_goal = jnp.arange(count)[:, None] == _count(problem.durations)[None]
+    return jnp.where(at_goal[:, None, None], knots + problem.goal[None], knots)
 
 
 def _by_ends(
@@ -234,7 +230,7 @@ def _by_ends(
     by_start = jnp.where(given, from_right[0], 0.0)
     if problem.goal is None:
         return by_start, None
-    last = jnp.arange(1, len(from_left) + 1)[:, None] == _count(problem.durations)
+    last = jnp.arange(1, len(from_left) + 1)[:, None] == _count(problem.durations)[None]
     return by_start, jnp.where(given, jnp.sum(jnp.where(last[:, None, None], from_left, 0.0), axis=0), 0.0)
 
 
@@ -252,19 +248,21 @@ def _unknown_knots(problem: Problem, ends: Ends) -> slice:
     return slice(1, last) if ends.fixed >= order and not ends.goal_free else slice(0, last + 1)
 
 
-def _known(problem: Problem, ends: Ends) -> Bool[Array, "knots r b"]:
+def _known(problem: Problem, ends: Ends) -> Bool[Array, "n r b"]:
     """Which knot derivatives are prescribed: those of the ends, and all behind the goal."""
     index = jnp.arange(len(problem.durations) + 1)[:, None, None]
     last = _count(problem.durations)[None, None]
     at_ends = (index == 0) | ((index == last) & (not ends.goal_free))
-    return (at_ends & _given(len(problem.start), ends)) | (index > last)
+    return (at_ends & _given(len(problem.start), ends)[None]) | (index > last)
 
 
 def _given(order: int, ends: Ends) -> Bool[Array, "r 1"]:
+    """Which of the derivatives 1..r are prescribed at an end."""
     return (jnp.arange(1, order + 1) <= ends.fixed)[:, None]
 
 
 def _count(durations: Float[Array, "m b"]) -> Int[Array, "b"]:
+    """How many segments are real."""
     return jnp.sum(durations > 0.0, axis=0)
 
 
@@ -289,16 +287,16 @@ def _powers(durations: Float[Array, "m b"], order: int) -> list[Float[Array, "m 
     return powers
 
 
-def _at_knots(from_left: Float[Array, "m r d b"], from_right: Float[Array, "m r d b"]) -> Float[Array, "knots r d b"]:
+def _at_knots(from_left: Float[Array, "m r d b"], from_right: Float[Array, "m r d b"]) -> Float[Array, "m+1 r d b"]:
     """Sum at every knot of what the segment before it and the segment behind it contribute."""
     width = ((1, 0), (0, 0), (0, 0), (0, 0))
     return jnp.pad(from_left, width) + jnp.pad(from_right, (width[0][::-1], *width[1:]))
 
 
-def _combine(matrix: np.ndarray, parts: list[Float[Array, "m d b"]]) -> Float[Array, "m i d b"]:
+def _combine(matrix: Float[np.ndarray, "i j"], parts: list[Float[Array, "m d b"]]) -> Float[Array, "m i d b"]:
     """matrix @ parts for every segment, axis and lane, as one elementwise expression."""
-    columns = jnp.asarray(matrix, parts[0].dtype)[:, :, None, None]
-    return sum(columns[:, j] * part[:, None] for j, part in enumerate(parts))  # type: ignore[return-value]
+    columns = jnp.asarray(matrix, parts[0].dtype)[None, :, :, None, None]
+    return _sum([columns[:, :, j] * part[:, None] for j, part in enumerate(parts)])
 
 
 def _rows(values: Float[Array, "m i d b"]) -> list[Float[Array, "m b"]]:

@@ -1,4 +1,4 @@
-"""Minimum-snap trajectories: position of degree 9 in C4, yaw of degree 5 in C2 (paper eq. 3 and 4)."""
+"""``minimum_snap``: one trajectory, position of degree 9 in C4, yaw of degree 5 in C2 (paper eq. 3 and 4)."""
 
 from typing import Annotated, Literal
 
@@ -7,33 +7,33 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from jaxplan.batching import batch_last
 from jaxplan.errors import InputError
 from jaxplan.minsnap.quadratic_program import Ends, knot_derivatives, make_problem, segment_coefficients
 from jaxplan.precision import in_float64
 from jaxplan.spline import PiecewisePolynomial
 
 POSITION_ORDER = 4
+"""The derivative of position whose square is minimised: snap."""
 YAW_ORDER = 2
+"""Likewise of yaw: its acceleration."""
 
 Terminal = Literal["rest", "free"]
 
 
-@batch_last
 def interpolate(
     durations: Float[Array, "m b"],
-    points: Float[Array, "knots d b"],
+    points: Float[Array, "n d b"],
     initial: Float[Array, "r d b"],
     terminal: Float[Array, "r d b"] | None = None,
     ends: Ends | None = None,
-) -> tuple[Float[Array, "m n d b"], Float[Array, "knots r d b"]]:
-    """The smoothest spline through ``points`` that starts with ``initial`` derivatives and ends as ``ends`` says.
+) -> tuple[Float[Array, "m 2*r+2 d b"], Float[Array, "n r d b"]]:
+    """The smoothest spline through n = m + 1 points that starts with ``initial`` derivatives and ends as ``ends`` says.
 
     The order r is that of ``initial``: 4 minimises snap, 2 acceleration. At rest at the goal when ``ends`` is
     omitted. Durations of 0 mark padding.
 
     Returns:
-        Ascending coefficients in normalised time (n = 2r+2), and the derivatives at every knot.
+        Ascending coefficients in normalised time, and the derivatives at every knot.
     """
     ends = ends or Ends(initial.shape[0])
     problem = make_problem(durations, points, initial, terminal, ends)
@@ -43,16 +43,16 @@ def interpolate(
 
 @in_float64
 def minimum_snap(
-    waypoints: Annotated[ArrayLike, "m+1 3"],
+    waypoints: Annotated[ArrayLike, "n 3"],
     durations: Annotated[ArrayLike, "m"],
     *,
-    initial: Annotated[ArrayLike, "r 3"] | None = None,
-    terminal: Terminal | Annotated[ArrayLike, "r 3"] = "rest",
+    initial: Annotated[ArrayLike, "fixed_order 3"] | None = None,
+    terminal: Terminal | Annotated[ArrayLike, "fixed_order 3"] = "rest",
     fixed_order: int = 4,
-    yaw: Annotated[ArrayLike, "m+1"] | None = None,
+    yaw: Annotated[ArrayLike, "n"] | None = None,
     initial_yaw: Annotated[ArrayLike, "2"] | None = None,
 ) -> PiecewisePolynomial:
-    """The minimum-snap trajectory through ``waypoints`` [m] that spends ``durations`` [s] between them.
+    """The minimum-snap trajectory through n waypoints [m] that spends m = n - 1 ``durations`` [s] between them.
 
     Args:
         initial: velocity, acceleration, jerk and snap at the start; at rest when omitted.
@@ -75,10 +75,10 @@ def minimum_snap(
     position, _ = _interpolate(times[:, None], points[..., None], start[..., None], goal[..., None], ends)
     heading = None
     if yaw is not None or initial_yaw is not None:
-        headings = _array("yaw", np.zeros(len(points)) if yaw is None else yaw, (len(points),))
-        turning = _array("initial_yaw", np.zeros(2) if initial_yaw is None else initial_yaw, (2,))
-        turn = (times[:, None], headings[:, None, None], turning[:, None, None], None, yaw_ends(ends))
-        heading = np.asarray(_interpolate(*turn)[0][:, :, 0, 0])
+        angles = _array("yaw", np.zeros(len(points)) if yaw is None else yaw, (len(points),))
+        rates = _array("initial_yaw", np.zeros(YAW_ORDER) if initial_yaw is None else initial_yaw, (YAW_ORDER,))
+        turning = _interpolate(times[:, None], angles[:, None, None], rates[:, None, None], None, yaw_ends(ends))
+        heading = np.asarray(turning[0][:, :, 0, 0])
     return PiecewisePolynomial(durations=times, position=np.asarray(position[..., 0]), yaw=heading)
 
 
@@ -87,11 +87,14 @@ _interpolate = jax.jit(interpolate, static_argnames="ends")
 
 def checked_ends(
     name: str,
-    initial: Annotated[ArrayLike, "r 3"] | None,
-    terminal: Terminal | Annotated[ArrayLike, "r 3"],
+    initial: Annotated[ArrayLike, "fixed_order 3"] | None,
+    terminal: Terminal | Annotated[ArrayLike, "fixed_order 3"],
     fixed_order: int,
 ) -> tuple[Float[np.ndarray, "4 3"], Float[np.ndarray, "4 3"], Ends]:
-    """The prescribed derivatives at the start and at the goal, and which of them count (host)."""
+    """The prescribed derivatives at the start and at the goal, and which of them count (host).
+
+    ``name`` is that of the entry point, for its messages.
+    """
     ends = ends_of(name, terminal, fixed_order)
     start = _end_values(name, "initial", initial, fixed_order)
     goal = _end_values(name, "terminal", None if isinstance(terminal, str) else terminal, fixed_order)
@@ -99,7 +102,7 @@ def checked_ends(
 
 
 def ends_of(name: str, terminal: object, fixed_order: int) -> Ends:
-    """Which derivatives are prescribed at the ends."""
+    """Which derivatives are prescribed at the ends; ``name`` is that of the entry point, for its messages."""
     if fixed_order not in (3, POSITION_ORDER):
         raise InputError(f"{name}: fixed_order is {fixed_order}, want 4 (snap prescribed at the ends) or 3 (snap free)")
     if isinstance(terminal, str) and terminal not in ("rest", "free"):
@@ -127,7 +130,8 @@ def _end_values(name: str, what: str, given: ArrayLike | None, fixed_order: int)
     return values
 
 
-def _checked(waypoints: ArrayLike, durations: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+def _checked(waypoints: ArrayLike, durations: ArrayLike) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "m"]]:
+    """Waypoints [m] and durations [s] that make a problem."""
     points = np.asarray(waypoints, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
         raise InputError(f"minimum_snap: waypoints have shape {points.shape}, want (m+1, 3) with at least 2 rows")
@@ -142,7 +146,7 @@ def _checked(waypoints: ArrayLike, durations: ArrayLike) -> tuple[np.ndarray, np
     return points, times
 
 
-def _array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
+def _array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
     array = np.asarray(value, dtype=np.float64)
     if array.shape != shape:
         raise InputError(f"minimum_snap: {name} has shape {array.shape}, want {shape}")

@@ -1,17 +1,14 @@
 """A batch of splines in the solver's own layout (batch axis last), from waypoints and durations to samples."""
 
-import math
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxplan.arrays import AnyArray
-from jaxplan.batching import batch_last
-from jaxplan.minsnap import hermite
-from jaxplan.minsnap.single import POSITION_ORDER, YAW_ORDER, interpolate
+from jaxplan.minsnap.single import interpolate
 from jaxplan.numerics import wrap_angle
+from jaxplan.polynomials import derivative_table, horner
 from jaxplan.records import record
 from jaxplan.spline import FlatState, FlatStateBatch, PiecewisePolynomial
 
@@ -24,11 +21,11 @@ class SplineBatch:
     """k splines of up to m segments; durations of 0 mark padding, whose position is the goal."""
 
     durations: Float[AnyArray, "m k"]
-    """Seconds per segment; 0 marks padding."""
+    """Seconds per segment."""
     position: Float[AnyArray, "m 10 3 k"]
-    """Ascending coefficients in normalised time, metres."""
+    """Ascending coefficients in normalised time [m, world]."""
     yaw: Float[AnyArray, "m 6 1 k"]
-    """Ascending coefficients in normalised time, radians (unwrapped)."""
+    """Ascending coefficients in normalised time [rad, unwrapped]."""
 
     def spline(self, index: int) -> PiecewisePolynomial:
         """One of the splines on its own, in NumPy float64, without its padding (host)."""
@@ -40,62 +37,66 @@ class SplineBatch:
             yaw=np.asarray(self.yaw)[real][:, :, 0, index],
         )
 
-    @batch_last
     def states(self, count: int) -> FlatStateBatch:
         """Flat states at ``count`` instants evenly spaced over each spline's own duration, ends included.
 
         Batch axes (count, k): shapes (5, 3, count, k) and (3, count, k).
         """
         ends = jnp.cumsum(self.durations, axis=0)
-        times = jnp.linspace(0.0, 1.0, count, dtype=ends.dtype)[:, None] * jnp.sum(self.durations, axis=0)
+        times = jnp.linspace(0.0, 1.0, count, dtype=ends.dtype)[:, None] * jnp.sum(self.durations, axis=0)[None]
         last = jnp.maximum(jnp.sum(self.durations > 0.0, axis=0) - 1, 0)
-        segment = jnp.minimum(jnp.sum(times[:, None] >= ends, axis=1), last)
+        segment = jnp.minimum(jnp.sum(times[:, None] >= ends[None], axis=1), last[None])
         duration = jnp.take_along_axis(self.durations, segment, axis=0)
         duration = jnp.where(duration > 0.0, duration, 1.0)
         begun = jnp.take_along_axis(ends - self.durations, segment, axis=0)
         s = jnp.clip((times - begun) / duration, 0.0, 1.0)
         position, yaw = self._coefficients(segment)
-        rows = [_horner(position, s, duration, derivative) for derivative in range(5)]
-        turns = [_horner(yaw, s, duration, derivative) for derivative in range(3)]
+        rows = [horner(position, s[None], duration[None], derivative) for derivative in range(5)]
+        turns = [horner(yaw, s, duration, derivative) for derivative in range(3)]
         return FlatStateBatch(derivatives=jnp.stack(rows), yaw=jnp.stack(turns))
 
-    def _coefficients(self, segment: Int[Array, "p k"]) -> tuple[Float[Array, "10 3 p k"], Float[Array, "6 p k"]]:
-        """Those of p segments of each spline: position and yaw are gathered together, which is faster."""
-        segments, width, axes, lanes = self.position.shape
-        flat = self.position.reshape(segments, width * axes, lanes)
+    def _coefficients(
+        self, segment: Int[Array, "p k"]
+    ) -> tuple[list[Float[Array, "3 p k"]], list[Float[Array, "p k"]]]:
+        """Those of p segments of each spline, by power: position and yaw are gathered together, which is faster."""
+        segments, count, axes, width = self.position.shape
+        flat = self.position.reshape(segments, count * axes, width)
         both = jnp.moveaxis(jnp.concatenate([flat, self.yaw[:, :, 0]], axis=1), 0, 1)
         found = jnp.take_along_axis(both, segment[None], axis=1)
-        return found[: width * axes].reshape(width, axes, *segment.shape), found[width * axes :]
+        position = found[: count * axes].reshape(count, axes, *segment.shape)
+        turns = found[count * axes :]
+        return [position[power] for power in range(count)], [turns[power] for power in range(len(turns))]
 
-    @batch_last
-    def derivatives(self, s: np.ndarray) -> Float[Array, "m s 5 3 k"]:
+    def derivatives(self, s: Float[np.ndarray, "s"]) -> Float[Array, "m s 5 3 k"]:
         """Position to snap at the normalised times ``s`` of every segment; derivatives are 0 on padding."""
-        segments, width, axes, lanes = self.position.shape
-        flat = self.position.reshape(segments, width, axes * lanes)
-        rate = jnp.where(self.durations > 0.0, 1.0 / jnp.where(self.durations > 0.0, self.durations, 1.0), 0.0)
+        segments, count, axes, width = self.position.shape
+        flat, rate = self.position.reshape(segments, count, axes * width), self.rate()
         values = []
         for derivative in range(5):
-            table = jnp.asarray(hermite.derivative_table(POSITION_ORDER, s, derivative), flat.dtype)
-            sampled = jnp.matmul(table, flat).reshape(segments, len(s), axes, lanes)
+            table = jnp.asarray(derivative_table(count, s, derivative), flat.dtype)
+            sampled = jnp.matmul(table, flat).reshape(segments, len(s), axes, width)
             values.append(sampled * (rate**derivative)[:, None, None])
         return jnp.stack(values, axis=2)
 
-    @batch_last
-    def yaw_derivatives(self, s: np.ndarray) -> Float[Array, "m s 3 k"]:
+    def yaw_derivatives(self, s: Float[np.ndarray, "s"]) -> Float[Array, "m s 3 k"]:
         """Yaw, yaw rate and yaw acceleration at the normalised times ``s`` of every segment."""
-        rate = jnp.where(self.durations > 0.0, 1.0 / jnp.where(self.durations > 0.0, self.durations, 1.0), 0.0)
+        yaw, rate = self.yaw[:, :, 0], self.rate()
         values = []
         for derivative in range(3):
-            table = jnp.asarray(hermite.derivative_table(YAW_ORDER, s, derivative), self.yaw.dtype)
-            values.append(jnp.matmul(table, self.yaw[:, :, 0]) * (rate**derivative)[:, None])
+            table = jnp.asarray(derivative_table(yaw.shape[1], s, derivative), yaw.dtype)
+            values.append(jnp.matmul(table, yaw) * (rate**derivative)[:, None])
         return jnp.stack(values, axis=2)
 
+    def rate(self) -> Float[Array, "m k"]:
+        """Growth of the normalised time [1/s] on every segment; 0 on padding."""
+        real = self.durations > 0.0
+        return jnp.where(real, 1.0 / jnp.where(real, self.durations, 1.0), 0.0)
 
-@batch_last
+
 def fit(
-    state: FlatState, waypoints: Float[Array, "knots 3 k"], durations: Float[Array, "m k"], max_yaw_rate: float
+    state: FlatState, waypoints: Float[Array, "n 3 k"], durations: Float[Array, "m k"], max_yaw_rate: float
 ) -> SplineBatch:
-    """Minimum-snap splines from one flat state through each lane's waypoints to rest at its goal.
+    """Minimum-snap splines from one flat state through each lane's n = m + 1 waypoints to rest at its goal.
 
     The first waypoint is the state's own position. Yaw follows the path's heading at the waypoints, held
     where the vehicle is slow, and turns by at most ``max_yaw_rate`` [rad/s] on average over a segment.
@@ -103,31 +104,21 @@ def fit(
     return fit_each(state.repeated(waypoints.shape[-1]), waypoints, durations, max_yaw_rate)
 
 
-@batch_last
 def fit_each(
-    states: FlatStateBatch, waypoints: Float[Array, "knots 3 k"], durations: Float[Array, "m k"], max_yaw_rate: float
+    states: FlatStateBatch, waypoints: Float[Array, "n 3 k"], durations: Float[Array, "m k"], max_yaw_rate: float
 ) -> SplineBatch:
     """``fit`` from a state of its own for every lane."""
-    points = waypoints.at[0].set(states.pos)
-    position, knots = interpolate(durations, points, jnp.asarray(states.derivatives[1:]))
-    headings = _headings(states.yaw[0], knots[:, 0, :2], durations, max_yaw_rate)
-    yaw, _ = interpolate(durations, headings[:, None], jnp.asarray(states.yaw[1:, None]))
+    derivatives, turning = jnp.asarray(states.derivatives), jnp.asarray(states.yaw)
+    points = waypoints.at[0].set(derivatives[0])
+    position, knots = interpolate(durations, points, derivatives[1:])
+    headings = _headings(turning[0], knots[:, 0, :2], durations, max_yaw_rate)
+    yaw, _ = interpolate(durations, headings[:, None], turning[1:, None])
     return SplineBatch(durations=durations, position=position, yaw=yaw)
 
 
-def _horner(
-    coefficients: Float[Array, "n *c p k"], s: Float[Array, "p k"], duration: Float[Array, "p k"], derivative: int
-) -> Float[Array, "*c p k"]:
-    """Value of the ``derivative``-th time derivative of ascending polynomials in normalised time."""
-    value = jnp.zeros_like(coefficients[0])
-    for power in range(coefficients.shape[0] - 1, derivative - 1, -1):
-        value = value * s + math.perm(power, derivative) * coefficients[power]
-    return value / duration**derivative
-
-
 def _headings(
-    start: Float[Array, "k"], velocity: Float[Array, "knots 2 k"], durations: Float[Array, "m k"], max_rate: float
-) -> Float[Array, "knots k"]:
+    start: Float[Array, "k"], velocity: Float[Array, "n 2 k"], durations: Float[Array, "m k"], max_rate: float
+) -> Float[Array, "n k"]:
     """Unwrapped yaw [rad] at the knots: the direction of the horizontal velocity, rate-limited."""
 
     def turn(yaw: Float[Array, "k"], knot: tuple) -> tuple[Float[Array, "k"], Float[Array, "k"]]:

@@ -5,7 +5,7 @@ import enum
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, UInt32
 
-from jaxplan.batching import batch_last
+from jaxplan.status import bit
 
 RESIDUAL_LIMIT = 1e-6
 """Largest relative residual of the optimality conditions that counts as solved (arbitrary; usual values are 1e-13)."""
@@ -32,44 +32,40 @@ UNSOLVED = SolveStatus.NONFINITE | SolveStatus.DURATIONS
 """The bits of problems that are not attempted: their cost is infinite and their spline empty."""
 
 
-def flag(bad: Bool[Array, "b"], status: SolveStatus) -> UInt32[Array, "b"]:
-    """``status`` where ``bad``. Write ``bad`` as ``~(good)`` so that NaN counts as bad."""
-    return jnp.where(bad, jnp.uint32(int(status)), jnp.uint32(0))
-
-
-@batch_last
 def problem_status(
-    waypoints: Float[Array, "knots d b"], durations: Float[Array, "m b"], *given: Float[Array, "r d b"]
+    waypoints: Float[Array, "n d b"], durations: Float[Array, "m b"], *given: Float[Array, "_ _ b"]
 ) -> UInt32[Array, "b"]:
-    """NONFINITE, DURATIONS and COINCIDENT of every problem. Waypoints behind the goal may be anything."""
+    """NONFINITE, DURATIONS and COINCIDENT of every problem through n = m + 1 waypoints.
+
+    ``given`` are the derivatives prescribed at the ends. Waypoints behind the goal may be anything.
+    """
     count = jnp.sum(durations > 0.0, axis=0)
-    behind = jnp.arange(len(waypoints))[:, None] > count
+    behind = jnp.arange(len(waypoints))[:, None] > count[None]
     finite = jnp.all(jnp.isfinite(durations), axis=0)
     finite &= jnp.all(jnp.isfinite(waypoints).all(axis=1) | behind, axis=0)
     for values in given:
         finite &= jnp.isfinite(values).all(axis=(0, 1))
-    padding = jnp.arange(len(durations))[:, None] >= count
+    padding = jnp.arange(len(durations))[:, None] >= count[None]
     ordered = jnp.all((durations > 0.0) | ((durations == 0.0) & padding), axis=0) & (count > 0)
     moved = jnp.any((waypoints != waypoints[:1]).any(axis=1) & ~behind, axis=0)
     return (
-        flag(~finite, SolveStatus.NONFINITE)
-        | flag(~ordered & finite, SolveStatus.DURATIONS)
-        | flag(~moved & finite & ordered, SolveStatus.COINCIDENT)
+        bit(~finite, SolveStatus.NONFINITE)
+        | bit(~ordered & finite, SolveStatus.DURATIONS)
+        | bit(~moved & finite & ordered, SolveStatus.COINCIDENT)
     )
 
 
-def unsolved(status: UInt32[Array, "b"]) -> Bool[Array, "b"]:
-    """Where a problem was not attempted."""
-    return (status & jnp.uint32(int(UNSOLVED))) != 0
+def has_any(status: UInt32[Array, "b"], bits: SolveStatus) -> Bool[Array, "b"]:
+    """Where at least one of the ``bits`` is set."""
+    return (status & jnp.uint32(int(bits))) != 0
 
 
-@batch_last
 def finite_problems(
-    waypoints: Float[Array, "knots d b"], durations: Float[Array, "m b"], skip: Bool[Array, "b"]
-) -> tuple[Float[Array, "knots d b"], Float[Array, "m b"]]:
-    """Waypoints and durations with every value finite: empty problems where ``skip``, the goal repeated on padding."""
-    durations = jnp.where(skip, 0.0, durations)
+    waypoints: Float[Array, "n d b"], durations: Float[Array, "m b"], skip: Bool[Array, "b"]
+) -> tuple[Float[Array, "n d b"], Float[Array, "m b"]]:
+    """The same batch with every value finite: empty problems where ``skip``, the goal repeated on padding."""
+    durations = jnp.where(skip[None], 0.0, durations)
     count = jnp.sum(durations > 0.0, axis=0)
     goal = jnp.take_along_axis(waypoints, count[None, None], axis=0)
-    behind = jnp.arange(len(waypoints))[:, None, None] > count
-    return jnp.where(skip, 0.0, jnp.where(behind, goal, waypoints)), durations
+    behind = jnp.arange(len(waypoints))[:, None, None] > count[None, None]
+    return jnp.where(skip[None, None], 0.0, jnp.where(behind, goal, waypoints)), durations

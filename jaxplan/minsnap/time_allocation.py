@@ -12,7 +12,7 @@ nor rho changes the iterations. (c) starts from (b): ``minimum_time``.
 
 import dataclasses
 import functools
-from typing import Annotated, Any, Protocol, runtime_checkable
+from typing import Annotated, Literal, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -21,15 +21,19 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 from numpy.typing import ArrayLike
 
 from jaxplan.arrays import AnyArray
-from jaxplan.batching import batch_last
 from jaxplan.errors import InputError
-from jaxplan.minsnap.bfgs import minimise
+from jaxplan.minsnap.bfgs import Minimum, Objective, minimise
 from jaxplan.minsnap.minimum_time import Margin, least_margin, shortest_alternated
 from jaxplan.minsnap.quadratic_program import REST, Ends, gradient, knot_derivatives, make_problem
 from jaxplan.minsnap.single import YAW_ORDER
-from jaxplan.minsnap.status import SolveStatus, finite_problems, flag, problem_status, unsolved
+from jaxplan.minsnap.status import UNSOLVED, SolveStatus, finite_problems, has_any, problem_status
 from jaxplan.records import record
+from jaxplan.status import bit
 from jaxplan.validation import require_at_least, require_positive
+
+Kind = Literal["weighted", "fixed", "fastest"]
+"""Which of the problems (a), (b), (c)."""
+KINDS: tuple[Kind, ...] = ("weighted", "fixed", "fastest")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,17 +74,17 @@ class TimeAllocation:
 
 
 def time_allocation(
-    waypoints: Annotated[ArrayLike, "m+1 3 b"],
+    waypoints: Annotated[ArrayLike, "n 3 b"],
     *,
-    time_weight: float | None = None,
+    time_weight: float | Annotated[ArrayLike, "b"] | None = None,
     total_time: float | Annotated[ArrayLike, "b"] | None = None,
     margin: Margin | None = None,
     segments: Annotated[ArrayLike, "b"] | None = None,
     initial: Annotated[ArrayLike, "4 3 b or 4 3"] | None = None,
-    yaw: Annotated[ArrayLike, "m+1 b"] | None = None,
+    yaw: Annotated[ArrayLike, "n b"] | None = None,
     config: TimeAllocationConfig | None = None,
 ) -> TimeAllocation:
-    """Optimal durations for b waypoint sequences at once, from ``initial`` derivatives to rest (host).
+    """Optimal durations for b sequences of n = m + 1 waypoints at once, from ``initial`` derivatives to rest (host).
 
     Exactly one of the three problems is chosen by its parameter. Computed in float64, whatever the process's JAX
     flags; NumPy arrays come back. Compiled once per shape, and for (c) once per ``margin``.
@@ -99,37 +103,42 @@ def time_allocation(
     chosen = [value is not None for value in (time_weight, total_time, margin)]
     if sum(chosen) != 1:
         raise InputError("time_allocation: give exactly one of time_weight, total_time and margin")
-    points, counts, start, headings = _checked(waypoints, segments, initial, yaw)
-    lanes = points.shape[-1]
+    points, counts, start, angles = _checked(waypoints, segments, initial, yaw)
     number = time_weight if total_time is None else total_time
-    amount = np.broadcast_to(np.asarray(1.0 if number is None else number, dtype=np.float64), (lanes,))
+    amount = np.broadcast_to(np.asarray(1.0 if number is None else number, dtype=np.float64), points.shape[-1:])
     if not (amount > 0.0).all():
         raise InputError(f"time_allocation: the time or its weight is {amount.min()}, want it positive")
-    kind = ("weighted", "fixed", "fastest")[chosen.index(True)]
+    kind = KINDS[chosen.index(True)]
     with jax.enable_x64(True):
-        found = _compiled(kind, margin, config or TimeAllocationConfig(), points, counts, amount, start, headings)
+        found = _compiled(kind, margin, config or TimeAllocationConfig(), points, counts, amount, start, angles)
         return jax.tree.map(np.asarray, found)
 
 
-@batch_last
 def optimise_durations(
-    kind: str,
+    kind: Kind,
     margin: Margin | None,
     config: TimeAllocationConfig,
-    waypoints: Float[Array, "knots 3 b"],
+    waypoints: Float[Array, "n 3 b"],
     counts: Int[Array, "b"],
     amount: Float[Array, "b"],
     initial: Float[Array, "4 3 b"],
-    yaw: Float[Array, "knots b"] | None,
+    yaw: Float[Array, "n b"] | None,
 ) -> TimeAllocation:
-    """The traced core of ``time_allocation``."""
-    real = jnp.arange(len(waypoints) - 1)[:, None] < counts
+    """The traced core of ``time_allocation``, for sequences of n = m + 1 waypoints.
+
+    Args:
+        margin: of kind "fastest".
+        counts: real segments of each sequence.
+        amount: rho [m^2/s^8] for kind "weighted", the total time [s] for "fixed".
+    """
+    real = jnp.arange(len(waypoints) - 1)[:, None] < counts[None]
+    marks = real.astype(waypoints.dtype)
     given = [initial] if yaw is None else [initial, yaw[:, None]]
-    status = problem_status(waypoints, jnp.where(real, 1.0, 0.0), *given)
-    skip = unsolved(status) | ((status & jnp.uint32(int(SolveStatus.COINCIDENT))) != 0)
-    points, marks = finite_problems(waypoints, jnp.where(real, 1.0, 0.0), skip)
+    status = problem_status(waypoints, marks, *given)
+    skip = has_any(status, UNSOLVED | SolveStatus.COINCIDENT)
+    points, marks = finite_problems(waypoints, marks, skip)
     real = marks > 0.0
-    start = jnp.where(skip, 0.0, initial)
+    start = jnp.where(skip[None, None], 0.0, initial)
     smoothness = _smoothness(points, start, yaw, config.yaw_weight)
     first = _first_guess(points, real)
     if kind == "weighted":
@@ -137,23 +146,23 @@ def optimise_durations(
     else:
         total = amount if kind == "fixed" else jnp.sum(first, axis=0)
         found = _fixed(smoothness, first, real, total, config)
-    durations, value, decrement, evaluations = found
-    late = ~(decrement <= 10.0 * config.tolerance)
+    durations, value = found.durations, found.cost
+    late = ~(found.decrement <= 10.0 * config.tolerance)
     if kind == "fastest":
         assert margin is not None
         least = functools.partial(least_margin, margin, points, start, yaw, instants=config.instants)
         reshare = functools.partial(_fixed, smoothness, real=real, config=config)
         durations, feasible = shortest_alternated(
-            least, lambda best, total: reshare(best, total=total)[0], durations, config.rounds, config.bisections
+            least, lambda best, total: reshare(best, total=total).durations, durations, config.rounds, config.bisections
         )
         value = jnp.sum(durations, axis=0)
-        status |= flag(~feasible & ~skip, SolveStatus.INFEASIBLE)
+        status |= bit(~feasible & ~skip, SolveStatus.INFEASIBLE)
         skip |= ~feasible
-    status |= flag(late & ~skip, SolveStatus.NOT_CONVERGED)
+    status |= bit(late & ~skip, SolveStatus.NOT_CONVERGED)
     return TimeAllocation(
-        durations=jnp.where(skip, 0.0, durations),
+        durations=jnp.where(skip[None], 0.0, durations),
         cost=jnp.where(skip, jnp.inf, value),
-        evaluations=evaluations,
+        evaluations=found.evaluations,
         status=status,
     )
 
@@ -163,16 +172,27 @@ _compiled = jax.jit(optimise_durations, static_argnums=(0, 1, 2))
 
 @runtime_checkable
 class Smoothness(Protocol):
-    """sigma of the best trajectory for given durations, and its gradient by them."""
+    """The cost of the best trajectory as a function of its durations."""
 
-    def __call__(self, durations: Float[Array, "m b"]) -> tuple[Float[Array, "b"], Float[Array, "m b"]]:
-        """``durations`` in seconds per segment; 0 marks padding."""
+    def __call__(self, durations: Float[Array, "m b"], /) -> tuple[Float[Array, "b"], Float[Array, "m b"]]:
+        """sigma [m^2/s^7], and its gradient by the durations [s]."""
+        ...
+
+
+class _Optimum(NamedTuple):
+    """Where an optimisation of durations ended."""
+
+    durations: Float[Array, "m b"]
+    cost: Float[Array, "b"]
+    decrement: Float[Array, "b"]
+    """The further relative decrease of the cost that the model predicts."""
+    evaluations: Int[Array, "b"]
 
 
 def _smoothness(
-    points: Float[Array, "knots 3 b"],
+    points: Float[Array, "n 3 b"],
     initial: Float[Array, "4 3 b"],
-    yaw: Float[Array, "knots b"] | None,
+    yaw: Float[Array, "n b"] | None,
     yaw_weight: float,
 ) -> Smoothness:
     ends = Ends(YAW_ORDER)
@@ -182,29 +202,29 @@ def _smoothness(
         value, partials, _ = gradient(problem, knot_derivatives(problem, REST), REST)
         if yaw is None:
             return value, partials.durations
-        turn = make_problem(durations, yaw[:, None], jnp.zeros((YAW_ORDER, 1, yaw.shape[-1]), yaw.dtype), None, ends)
-        yaw_value, yaw_partials, _ = gradient(turn, knot_derivatives(turn, ends), ends)
+        turning = make_problem(durations, yaw[:, None], jnp.zeros((YAW_ORDER, 1, yaw.shape[-1]), yaw.dtype), None, ends)
+        yaw_value, yaw_partials, _ = gradient(turning, knot_derivatives(turning, ends), ends)
         return value + yaw_weight * yaw_value, partials.durations + yaw_weight * yaw_partials.durations
 
     return sigma
 
 
-def _first_guess(points: Float[Array, "knots 3 b"], real: Bool[Array, "m b"]) -> Float[Array, "m b"]:
+def _first_guess(points: Float[Array, "n 3 b"], real: Bool[Array, "m b"]) -> Float[Array, "m b"]:
     """Typical shares, 1 s in the mean: a power of the distance, longer where the flight starts and stops.
 
     Power and factor are fitted to the optima of random waypoints in a room (least squares in the logarithms).
     """
     squares = jnp.sum(jnp.diff(points, axis=0) ** 2, axis=1)
-    count = jnp.maximum(jnp.sum(real, axis=0), 1)
+    count = jnp.maximum(jnp.sum(real, axis=0), 1).astype(points.dtype)
     mean = jnp.sum(jnp.where(real, squares, 0.0), axis=0) / count
-    share = (squares / jnp.where(mean > 0.0, mean, 1.0) + 0.02) ** 0.28
-    index = jnp.arange(len(real))[:, None]
-    share = jnp.where(real, jnp.where((index == 0) | (index == count - 1), 1.57, 1.0) * share, 0.0)
+    share = (squares / jnp.where(mean > 0.0, mean, 1.0)[None] + 0.02) ** 0.28
+    index = jnp.arange(len(real), dtype=points.dtype)[:, None]
+    share = jnp.where(real, jnp.where((index == 0) | (index == count[None] - 1), 1.57, 1.0) * share, 0.0)
     whole = jnp.sum(share, axis=0)
-    return share * (count / jnp.where(whole > 0.0, whole, 1.0))
+    return share * (count / jnp.where(whole > 0.0, whole, 1.0))[None]
 
 
-def _first_inverse(real: Bool[Array, "m b"]) -> Float[Array, "m m b"]:
+def _first_inverse(real: Bool[Array, "m b"], dtype: jnp.dtype) -> Float[Array, "m m b"]:
     """The inverse of a typical Hessian of a log cost in log durations, for each lane's number of segments.
 
     Hessians at the optima of random waypoints are banded, and their bands hardly vary; they fall with 1 / count.
@@ -217,7 +237,7 @@ def _first_inverse(real: Bool[Array, "m b"]) -> Float[Array, "m m b"]:
         bands[1][:1] = bands[1][-1:] = 2.0
         upper = sum(np.diag(band, k) for k, band in enumerate(bands[:count]))
         table[count, :count, :count] = count * np.linalg.inv(upper + np.triu(upper, 1).T)
-    return jnp.moveaxis(jnp.asarray(table)[jnp.sum(real, axis=0)], 0, -1)
+    return jnp.moveaxis(jnp.asarray(table, dtype)[jnp.sum(real, axis=0)], 0, -1)
 
 
 def _weighted(
@@ -226,7 +246,7 @@ def _weighted(
     real: Bool[Array, "m b"],
     weight: Float[Array, "b"],
     config: TimeAllocationConfig,
-) -> tuple[Array, Array, Array, Array]:
+) -> _Optimum:
     """(a): started where the total time would be optimal for a trajectory that scales (at rest, sigma ~ T^-7)."""
     total = jnp.sum(first, axis=0)
     factor = (7.0 * sigma(first)[0] / (weight * jnp.where(total > 0.0, total, 1.0))) ** 0.125
@@ -236,12 +256,10 @@ def _weighted(
         value, slope = sigma(durations)
         cost = value + weight * jnp.sum(durations, axis=0)
         safe = jnp.where(cost > 0.0, cost, 1.0)
-        return jnp.log(safe), durations * (slope + weight) / safe
+        return jnp.log(safe), durations * (slope + weight[None]) / safe[None]
 
-    found = minimise(
-        objective, _log(first * factor, real), _first_inverse(real), config.tolerance, config.max_evaluations
-    )
-    return jnp.where(real, jnp.exp(found.x), 0.0), jnp.exp(found.value), found.decrement, found.evaluations
+    found = _minimise(objective, first * factor[None], real, config)
+    return _optimum(jnp.where(real, jnp.exp(found.x), 0.0), found)
 
 
 def _fixed(
@@ -250,42 +268,59 @@ def _fixed(
     real: Bool[Array, "m b"],
     total: Float[Array, "b"],
     config: TimeAllocationConfig,
-) -> tuple[Array, Array, Array, Array]:
+) -> _Optimum:
     """(b): the unknowns are the logarithms of the shares of the total time, up to a common factor."""
 
     def shared(logs: Float[Array, "m b"]) -> Float[Array, "m b"]:
         sizes = jnp.where(real, jnp.exp(logs), 0.0)
         whole = jnp.sum(sizes, axis=0)
-        return sizes * (total / jnp.where(whole > 0.0, whole, 1.0))
+        return sizes * (total / jnp.where(whole > 0.0, whole, 1.0))[None]
 
     def objective(logs: Float[Array, "m b"]) -> tuple[Float[Array, "b"], Float[Array, "m b"]]:
         durations = shared(logs)
         value, slope = sigma(durations)
         safe = jnp.where(value > 0.0, value, 1.0)
         pull = durations * slope
-        return jnp.log(safe), (pull - durations / total * jnp.sum(pull, axis=0)) / safe
+        return jnp.log(safe), (pull - durations / total[None] * jnp.sum(pull, axis=0)[None]) / safe[None]
 
-    found = minimise(objective, _log(first, real), _first_inverse(real), config.tolerance, config.max_evaluations)
-    return shared(found.x), jnp.exp(found.value), found.decrement, found.evaluations
-
-
-def _log(durations: Float[Array, "m b"], real: Bool[Array, "m b"]) -> Float[Array, "m b"]:
-    return jnp.where(real, jnp.log(jnp.where(real & (durations > 0.0), durations, 1.0)), 0.0)
+    found = _minimise(objective, first, real, config)
+    return _optimum(shared(found.x), found)
 
 
-def _checked(waypoints: Any, segments: Any, initial: Any, yaw: Any) -> tuple[Any, Any, Any, Any]:
+def _minimise(
+    objective: Objective, first: Float[Array, "m b"], real: Bool[Array, "m b"], config: TimeAllocationConfig
+) -> Minimum:
+    """The minimum over the logarithms of the real durations, from the ``first`` ones [s]."""
+    logs = jnp.where(real, jnp.log(jnp.where(real & (first > 0.0), first, 1.0)), 0.0)
+    return minimise(objective, logs, _first_inverse(real, first.dtype), config.tolerance, config.max_evaluations)
+
+
+def _optimum(durations: Float[Array, "m b"], found: Minimum) -> _Optimum:
+    """The durations at the minimum of the logarithm of the cost."""
+    return _Optimum(durations, jnp.exp(found.value), found.decrement, found.evaluations)
+
+
+def _checked(
+    waypoints: ArrayLike, segments: ArrayLike | None, initial: ArrayLike | None, yaw: ArrayLike | None
+) -> tuple[
+    Float[np.ndarray, "n 3 b"],
+    Int[np.ndarray, "b"],
+    Float[np.ndarray, "4 3 b"],
+    Float[np.ndarray, "n b"] | None,
+]:
+    """Waypoints, numbers of segments, initial derivatives and yaw of every sequence."""
     points = np.asarray(waypoints, dtype=np.float64)
     if points.ndim != 3 or points.shape[1] != 3 or len(points) < 2:
         raise InputError(f"time_allocation: waypoints have shape {points.shape}, want (m+1, 3, b) with the batch last")
-    m, lanes = len(points) - 1, points.shape[-1]
-    counts = np.full(lanes, m) if segments is None else np.asarray(segments)
-    if counts.shape != (lanes,) or not ((counts >= 1) & (counts <= m)).all():
-        raise InputError(f"time_allocation: segments must be {lanes} numbers from 1 to {m}")
+    m, width = len(points) - 1, points.shape[-1]
+    counts = np.full(width, m) if segments is None else np.asarray(segments)
+    if counts.shape != (width,) or not ((counts >= 1) & (counts <= m)).all():
+        raise InputError(f"time_allocation: segments must be {width} numbers from 1 to {m}")
     start = np.zeros((4, 3, 1)) if initial is None else np.asarray(initial, dtype=np.float64)
     start = start[..., None] if start.ndim == 2 else start
-    if start.shape not in ((4, 3, 1), (4, 3, lanes)):
-        raise InputError(f"time_allocation: initial has shape {start.shape}, want (4, 3) or {(4, 3, lanes)}")
-    headings = None if yaw is None else np.asarray(yaw, dtype=np.float64)
-    if headings is not None and headings.shape != (m + 1, lanes):
-        raise InputError(f"time_allocation: yaw has shape {headings.shape}, want {(m + 1, lanes)}")
-    return points, counts.astype(np.int64), np.broadcast_to(start, (4, 3, lanes)), headings
+    if start.shape not in ((4, 3, 1), (4, 3, width)):
+        raise InputError(f"time_allocation: initial has shape {start.shape}, want (4, 3) or {(4, 3, width)}")
+    angles = None if yaw is None else np.asarray(yaw, dtype=np.float64)
+    if angles is not None and angles.shape != (m + 1, width):
+        raise InputError(f"time_allocation: yaw has shape {angles.shape}, want {(m + 1, width)}")
+    return points, counts.astype(np.int64), np.broadcast_to(start, (4, 3, width)), angles

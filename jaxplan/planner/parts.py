@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, UInt32
 
 from jaxplan.arrays import AnyArray
-from jaxplan.batching import in_portions, pick
+from jaxplan.batching import at_fixed_width, pick
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.planner.stations import Routes, Stations, Trajectories, shortened
 from jaxplan.prediction.candidates import Candidates
@@ -48,7 +48,7 @@ class Parts(NamedTuple):
             )
             return self.stations.reject(self.world, some, start).reasons
 
-        return in_portions(mark, np.arange(len(goals)), GOALS_AT_ONCE)
+        return at_fixed_width(mark, np.arange(len(goals)), GOALS_AT_ONCE)
 
     def search(self, state: FlatState, goals: Float[np.ndarray, "k 3"], target: Float[np.ndarray, "3"]) -> Paths:
         """Taut paths from the state to the goals; the distance to the target [m] chooses the lattice."""
@@ -62,7 +62,7 @@ class Parts(NamedTuple):
         def place(some: Int[np.ndarray, "n"]) -> Routes:
             return self.stations.route(paths.points[member[some]], shares[some])
 
-        return shortened(in_portions(place, np.arange(len(member)), self.config.width))
+        return shortened(at_fixed_width(place, np.arange(len(member)), self.config.width))
 
     def least_durations(self, state: FlatState, routes: Routes) -> Float[np.ndarray, "m k"]:
         """The policy's least durations [s]."""
@@ -71,7 +71,7 @@ class Parts(NamedTuple):
         def ask(some: Int[np.ndarray, "n"]) -> Float[Array, "m n"]:
             return self.stations.match(state, pick(routes, some), at_once).least_durations
 
-        return in_portions(ask, np.arange(len(routes.count)), self.config.width)
+        return at_fixed_width(ask, np.arange(len(routes.count)), self.config.width)
 
     def check(self, state: FlatState, routes: Routes, durations: Float[AnyArray, "m k"]) -> Trajectories:
         """Solved and checked trajectories, as many as the stations take."""
@@ -83,4 +83,4 @@ class Parts(NamedTuple):
         def check(some: Int[np.ndarray, "n"]) -> Trajectories:
             return self.check(state, pick(routes, some), durations[:, some])
 
-        return in_portions(check, np.arange(len(routes.count)), self.config.width)
+        return at_fixed_width(check, np.arange(len(routes.count)), self.config.width)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt32
 
 from jaxplan.arrays import AnyArray
-from jaxplan.batching import in_portions
+from jaxplan.batching import at_fixed_width
 from jaxplan.errors import InputError
 from jaxplan.precision import in_float64
 from jaxplan.records import record
@@ -105,7 +105,7 @@ def _from_demands(splines: Splines, vehicle: Vehicle, margins: _Margins) -> Labe
     margin, decided = np.full(len(durations), -np.inf), np.ones(len(durations), bool)
     members = np.flatnonzero(in_time)
     if len(members):
-        margin[members], known = in_portions(lambda some: margins(padded(flights, some)), members, _FLIGHTS_AT_ONCE)
+        margin[members], known = at_fixed_width(lambda some: margins(padded(flights, some)), members, _FLIGHTS_AT_ONCE)
         decided[members] = (known != Feasibility.UNDECIDED) | ~(margin[members] >= 0.0)
     reasons = (
         np.where(finite, 0, int(Flaw.NONFINITE))

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float, Int, PRNGKeyArray, Shaped
 from numpy.typing import ArrayLike
 
 from jaxplan.arrays import AnyArray
-from jaxplan.batching import fill, in_portions
+from jaxplan.batching import at_fixed_width, fill
 from jaxplan.errors import InputError
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.precision import float32_island
@@ -163,7 +163,7 @@ def track(
     summary = None
     if len(flown):
         cores = os.cpu_count() or 1
-        summary = in_portions(lambda some: _fly(tracker, flights, some), flown, FLIGHTS_AT_ONCE, threads=cores)
+        summary = at_fixed_width(lambda some: _fly(tracker, flights, some), flown, FLIGHTS_AT_ONCE, threads=cores)
     return _result(durations, flown, summary, chosen.thresholds)
 
 

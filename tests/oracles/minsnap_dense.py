@@ -23,12 +23,12 @@ def cost_gradient(waypoints, durations, initial, terminal, order=4, digits=60):
         step = mp.mpf(10) ** -20
 
         def slope(values, index, problem):
-            sides = []
+            costs = []
             for sign in (1, -1):
                 moved = np.array([[mp.mpf(float(v)) for v in np.ravel(row)] for row in values], dtype=object)
                 moved[index] += sign * step
-                sides.append(_exact(*problem(moved))[1])
-            return float((sides[0] - sides[1]) / (2 * step))
+                costs.append(_exact(*problem(moved))[1])
+            return float((costs[0] - costs[1]) / (2 * step))
 
         def by_time(moved):
             return waypoints, moved[:, 0], initial, terminal, order

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxplan
-from jaxplan.batching import PART
+from jaxplan.batching import THREAD_WIDTH
 from jaxplan.errors import InputError
 from jaxplan.minsnap.status import SolveStatus
 from oracles.minsnap_dense import cost_gradient
@@ -19,21 +19,21 @@ LENGTHS = (SEGMENTS, 1, 3)
 """Numbers of segments that take turns in a batch: few, because every length is compiled anew by the single solver."""
 
 
-def random_batch(seed=0, lanes=7, segments=SEGMENTS):
+def random_batch(seed=0, width=7, segments=SEGMENTS):
     """Problems of mixed length with arbitrary initial derivatives; NaN waypoints on padding."""
     rng = np.random.default_rng(seed)
-    waypoints = rng.uniform(0, 1, (segments + 1, 3, lanes)) * np.array([10.0, 10, 2])[:, None]
-    durations = rng.uniform(0.3, 2.0, (segments, lanes))
-    for lane in range(lanes):
+    waypoints = rng.uniform(0, 1, (segments + 1, 3, width)) * np.array([10.0, 10, 2])[:, None]
+    durations = rng.uniform(0.3, 2.0, (segments, width))
+    for lane in range(width):
         count = min(LENGTHS[lane % len(LENGTHS)], segments)
         durations[count:, lane] = 0.0
         waypoints[count + 1 :, :, lane] = np.nan
-    return waypoints, durations, rng.normal(size=(4, 3, lanes))
+    return waypoints, durations, rng.normal(size=(4, 3, width))
 
 
 @pytest.mark.parametrize(("terminal", "fixed_order"), [("rest", 4), ("free", 3), ("moving", 4)])
 def test_every_lane_equals_the_single_solver(terminal, fixed_order):
-    waypoints, durations, initial = random_batch(lanes=4)
+    waypoints, durations, initial = random_batch(width=4)
     goal = np.random.default_rng(9).normal(size=(4, 3, 4)) if terminal == "moving" else terminal
     yaw = np.random.default_rng(8).normal(size=(SEGMENTS + 1, 4))
     solved = jaxplan.minimum_snap_batch(
@@ -58,7 +58,7 @@ def test_every_lane_equals_the_single_solver(terminal, fixed_order):
 
 
 def test_states_of_a_batch_are_those_of_each_spline_from_start_to_end():
-    waypoints, durations, initial = random_batch(lanes=4)
+    waypoints, durations, initial = random_batch(width=4)
     solved = jaxplan.minimum_snap_batch(
         waypoints, durations, initial=initial, yaw=np.random.default_rng(8).normal(size=(SEGMENTS + 1, 4))
     )
@@ -90,7 +90,7 @@ def test_gradient_of_the_cost_equals_the_exact_one(x64):
 
 
 def test_gradients_of_free_ends_initial_values_and_splines_equal_differences(x64):
-    waypoints, durations, initial = random_batch(lanes=3)
+    waypoints, durations, initial = random_batch(width=3)
     arguments = tuple(jnp.asarray(np.nan_to_num(a)) for a in (waypoints, durations, initial))
     for fixed, terminal in ((3, "free"), (4, jnp.ones((4, 3)))):
 
@@ -99,7 +99,7 @@ def test_gradients_of_free_ends_initial_values_and_splines_equal_differences(x64
             return jnp.sum(solved.cost) / 1e6 + jnp.sum(jnp.sin(0.01 * solved.splines.position))
 
         direction = tuple(jnp.asarray(np.random.default_rng(k).normal(size=a.shape)) for k, a in enumerate(arguments))
-        direction = (direction[0], direction[1] * (arguments[1] > 0), direction[2])
+        direction = (direction[0], jnp.where(arguments[1] > 0, direction[1], 0.0), direction[2])
         value = jax.jit(lambda s: total(*(a + s * d for a, d in zip(arguments, direction, strict=True))))  # noqa: B023
         slope = (value(1e-6) - value(-1e-6)) / 2e-6
         assert jax.grad(value)(0.0) == pytest.approx(float(slope), rel=1e-6)
@@ -223,7 +223,7 @@ def test_shapes_that_do_not_fit_are_refused(waypoints, durations, options, said)
 
 
 def test_chunks_of_a_large_batch_equal_small_batches():
-    waypoints, durations, _ = random_batch(lanes=500, segments=3)
+    waypoints, durations, _ = random_batch(width=500, segments=3)
     whole = jaxplan.minimum_snap_batch(waypoints, durations)
     part = jaxplan.minimum_snap_batch(waypoints[..., 300:], durations[:, 300:])
     assert whole.cost.shape == (500,)
@@ -233,13 +233,13 @@ def test_chunks_of_a_large_batch_equal_small_batches():
 
 def test_parts_of_a_huge_batch_equal_small_batches():
     """Each of the parts that share the cores, the last one overlapping, arrays of one lane for all, and a bad lane."""
-    lanes = 2 * PART + 100
-    waypoints, durations, _ = random_batch(lanes=lanes, segments=3)
+    width = 2 * THREAD_WIDTH + 100
+    waypoints, durations, _ = random_batch(width=width, segments=3)
     durations[0, 700] = np.nan
     velocity = np.concatenate([np.ones((1, 3)), np.zeros((3, 3))])
     whole = jaxplan.minimum_snap_batch(waypoints, durations, initial=velocity)
     assert np.flatnonzero(whole.status).tolist() == [700]
-    for first in (500, 1100, lanes - 200):
+    for first in (500, 1100, width - 200):
         lane = slice(first, first + 200)
         part = jaxplan.minimum_snap_batch(waypoints[..., lane], durations[:, lane], initial=velocity)
         np.testing.assert_allclose(whole.cost[lane], part.cost, rtol=1e-12)

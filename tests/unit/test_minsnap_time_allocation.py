@@ -15,8 +15,8 @@ from jaxplan.vehicle.limits import rotor_limit_margin
 from jaxplan.vehicle.load import load_vehicle
 
 
-def random_waypoints(lanes=4, segments=5, seed=0):
-    return np.random.default_rng(seed).uniform(0, 1, (segments + 1, 3, lanes)) * np.array([10.0, 10, 2])[:, None]
+def random_waypoints(width=4, segments=5, seed=0):
+    return np.random.default_rng(seed).uniform(0, 1, (segments + 1, 3, width)) * np.array([10.0, 10, 2])[:, None]
 
 
 def smoothness(waypoints, durations, **options):

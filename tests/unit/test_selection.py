@@ -16,7 +16,7 @@ from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.clearance import free_distance
 from jaxplan.world.obstacles import Cylinders, World, aligned_boxes, make_obstacles
 
-LANES = 24
+WIDTH = 24
 
 
 @pytest.fixture(scope="module")
@@ -28,14 +28,14 @@ def room():
 
 @pytest.fixture(scope="module")
 def batch(room):
-    """Random splines from one hover state, with paths through their waypoints and the checks' verdict."""
+    """Random splines from one hover state, with paths through their waypoints and the checks' result."""
     rng = np.random.default_rng(0)
-    waypoints = rng.uniform(-4, 4, (5, 3, LANES)) * np.array([1.0, 1.0, 0.4])[:, None]
+    waypoints = rng.uniform(-4, 4, (5, 3, WIDTH)) * np.array([1.0, 1.0, 0.4])[:, None]
     waypoints[0] = np.array([-3.0, -3.0, 0.0])[:, None]
-    durations = np.linalg.norm(np.diff(waypoints, axis=0), axis=1) / rng.uniform(1.0, 4.0, LANES)
+    durations = np.linalg.norm(np.diff(waypoints, axis=0), axis=1) / rng.uniform(1.0, 4.0, WIDTH)
     durations[3, ::3] = 0.0
     paths = np.stack(
-        [np.linspace(0, 1, 64)[:, None] * (waypoints[4, :, k] - waypoints[0, :, k]) for k in range(LANES)], -1
+        [np.linspace(0, 1, 64)[:, None] * (waypoints[4, :, k] - waypoints[0, :, k]) for k in range(WIDTH)], -1
     )
     paths = paths + waypoints[0]
     with jax.enable_x64(True):
@@ -52,7 +52,7 @@ def dense(splines, lane, count=4000):
 
 def test_clearance_is_a_lower_bound_and_a_close_one(room, batch):
     splines, _, margins = batch
-    for lane in range(LANES):
+    for lane in range(WIDTH):
         spline, times = dense(splines, lane)
         with jax.enable_x64(True):
             points = spline.evaluate(times)[:, :3]
@@ -69,7 +69,7 @@ def test_a_needle_between_samples_is_not_missed(room, batch):
     rng, config, unseen = np.random.default_rng(1), CheckConfig(), 0
     middles = (np.arange(config.samples_per_segment) + 0.5) / config.samples_per_segment
     clear = jax.jit(lambda m, s, w: check_clearance(m, s, w, load_vehicle(), config).clearance)
-    for lane in range(LANES):
+    for lane in range(WIDTH):
         spline = splines.spline(lane)
         hit = spline.evaluate(rng.uniform(0.05, 0.95) * float(spline.duration))[None, :3]
         needle = Cylinders(
@@ -87,7 +87,7 @@ def test_a_needle_between_samples_is_not_missed(room, batch):
 def test_rotor_margin_matches_flatness_on_dense_samples(batch):
     splines, _, margins = batch
     vehicle = load_vehicle()
-    for lane in range(0, LANES, 4):
+    for lane in range(0, WIDTH, 4):
         spline, times = dense(splines, lane, 800)
         with jax.enable_x64(True):
             flat = jax.vmap(lambda s: differential_flatness(vehicle, s))(spline.state(times))
@@ -98,7 +98,7 @@ def test_rotor_margin_matches_flatness_on_dense_samples(batch):
 
 def test_deviation_is_the_largest_distance_at_equal_shares_of_length(batch):
     splines, paths, margins = batch
-    for lane in range(0, LANES, 5):
+    for lane in range(0, WIDTH, 5):
         spline, times = dense(splines, lane)
         points = spline.evaluate(times)[:, :3]
         share = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
@@ -163,5 +163,5 @@ def test_configuration_is_checked():
         {"instants": 1},
         {"least_probability": 1.5},
     ):
-        with pytest.raises(InputError):
+        with pytest.raises(InputError, match=f"^checks: {next(iter(wrong))} is "):
             CheckConfig(**wrong)
