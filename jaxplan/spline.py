@@ -9,7 +9,7 @@ flags. A spline of JAX arrays evaluates in JAX and may stand inside any transfor
 
 from collections.abc import Sequence
 from types import ModuleType
-from typing import Annotated, Any
+from typing import Annotated, Any, SupportsIndex
 
 import jax.numpy as jnp
 import numpy as np
@@ -107,7 +107,7 @@ class FlatStateBatch:
         """Snap [m/s^4]."""
         return self.derivatives[4]
 
-    def at(self, *index: int) -> FlatState:
+    def at(self, *index: SupportsIndex) -> FlatState:
         """One of the states, by its index along each batch axis."""
         place: tuple[Any, ...] = (..., *index)
         return FlatState(derivatives=self.derivatives[place], yaw=self.yaw[place])

@@ -1,5 +1,7 @@
 """A batch of splines in the solver's own layout (batch axis last), from waypoints and durations to samples."""
 
+from typing import SupportsIndex
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,7 +29,7 @@ class SplineBatch:
     yaw: Float[AnyArray, "m 6 1 k"]
     """Ascending coefficients in normalised time [rad, unwrapped]."""
 
-    def spline(self, index: int) -> PiecewisePolynomial:
+    def spline(self, index: SupportsIndex) -> PiecewisePolynomial:
         """One of the splines on its own, in NumPy float64, without its padding (host)."""
         durations = np.asarray(self.durations)[:, index]
         real = durations > 0.0

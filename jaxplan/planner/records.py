@@ -1,7 +1,7 @@
 """What the planner is told and what it returns."""
 
 import dataclasses
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, SupportsIndex
 
 import numpy as np
 from jaxtyping import Float, Int, UInt32
@@ -67,11 +67,11 @@ class Plans:
     splines: SplineBatch
     margins: Margins
 
-    def spline(self, index: int) -> PiecewisePolynomial:
+    def spline(self, index: SupportsIndex) -> PiecewisePolynomial:
         """The trajectory to candidate ``index`` (host, NumPy)."""
         return self.splines.spline(int(self.trajectory[index]))
 
-    def probability(self, index: int) -> float:
+    def probability(self, index: SupportsIndex) -> float:
         """Of candidate ``index`` being tracked, by the classifier; NaN where the rotor limits decided."""
         return float(np.asarray(self.margins.probability)[self.trajectory[index]])
 
@@ -95,11 +95,11 @@ class Approaches:
     splines: SplineBatch
     margins: Margins
 
-    def spline(self, index: int) -> PiecewisePolynomial:
+    def spline(self, index: SupportsIndex) -> PiecewisePolynomial:
         """One of the trajectories (host, NumPy)."""
         return self.splines.spline(index)
 
-    def probability(self, index: int) -> float:
+    def probability(self, index: SupportsIndex) -> float:
         """Of trajectory ``index`` being tracked, by the classifier; NaN where the rotor limits decided."""
         return float(np.asarray(self.margins.probability)[index])
 

@@ -23,7 +23,7 @@ def constant_speed_policy(speed: float = 2.5) -> Policy:
 
     def encode(waypoints: Float[AnyArray, "n 3 k"], count: Int[AnyArray, "k"]) -> Float[Array, "m k"]:
         lengths = jnp.maximum(safe_norm(jnp.diff(waypoints, axis=0), axis=1), SHORTEST_SEGMENT)
-        real = jnp.arange(lengths.shape[0])[:, None] < (count - 1)[None]
+        real = jnp.arange(lengths.shape[0], dtype=count.dtype)[:, None] < (count - 1)[None]
         return jnp.where(real, lengths / speed, 0.0)
 
     def decode(context: Float[Array, "m k"], initial: FlatStateBatch) -> Float[Array, "m k"]:

@@ -98,7 +98,7 @@ def rotor_limit_labels(
     near them, the flight may use half of what is left.
     """
     count = queries.waypoints.shape[0] - 1
-    real = jnp.arange(count)[:, None] < (queries.count - 1)[None]
+    real = jnp.arange(count, dtype=queries.count.dtype)[:, None] < (queries.count - 1)[None]
     durations = jnp.where(real, _first_guess(queries), 0.0)
     initial = _initial_margin(vehicle, queries)
     threshold = jnp.minimum(config.reserve, 0.5 * initial)
