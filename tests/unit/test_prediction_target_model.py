@@ -177,5 +177,5 @@ def test_a_model_of_another_room_is_refused(saved):
     build_predictor("gmm", config, model=load_model(saved), world=load_world("env1"))
     with pytest.raises(InputError, match="another"):
         build_predictor("gmm", config, model=load_model(saved), world=load_world("env2"))
-    with pytest.raises(InputError, match="train gmm"):
+    with pytest.raises(InputError, match="observations"):  # those of the generic one
         build_predictor("gmm", config)
