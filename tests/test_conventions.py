@@ -94,6 +94,28 @@ def test_shapes_of_arguments_have_plain_names() -> None:
     assert offenders((source, text) for source in sources("jaxplan") for text in symbolic_arguments(source)) == []
 
 
+def unbound_results(source: Source) -> Iterator[str]:
+    """Shapes such as ``m+1`` on results of functions none of whose arguments say what ``m`` is."""
+    for node in ast.walk(source.tree):
+        if isinstance(node, ast.FunctionDef) and node.returns is not None:
+            given = (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)
+            known = {name for a in given if a.annotation for text in texts(a.annotation) for name in text.split()}
+            for token in (token for text in texts(node.returns) for token in text.split()):
+                if re.fullmatch(r"\w+([-+*/]\w+)+", token) and not set(re.findall(r"[a-z_]\w*", token)) <= known:
+                    yield f"line {node.lineno}: {node.name} -> {token}"
+
+
+def texts(node: ast.AST) -> Iterator[str]:
+    """The strings below a node."""
+    for child in ast.walk(node):
+        if isinstance(child, ast.Constant) and isinstance(child.value, str):
+            yield child.value
+
+
+def test_shapes_of_results_are_made_of_those_of_arguments() -> None:
+    assert offenders((source, text) for source in sources("jaxplan") for text in unbound_results(source)) == []
+
+
 def written(folder: Path, text: str) -> Source:
     (folder / "bad.py").write_text(text)
     return read(folder / "bad.py", folder)
@@ -115,3 +137,5 @@ def test_the_rules_of_types_themselves(tmp_path: Path) -> None:
     source = written(tmp_path, text)
     assert list(loose_callables(source)) == ["line 2: A.call"]
     assert list(symbolic_arguments(source)) == ["line 4: f(x)"]
+    assert list(unbound_results(written(tmp_path, "def f(x: Float[Array, 'n']) -> Float[Array, 'm+1']: ...\n"))) != []
+    assert list(unbound_results(written(tmp_path, "def f(x: Float[Array, 'm']) -> Float[Array, 'm+1']: ...\n"))) == []

@@ -62,7 +62,7 @@ def _legs(lattices: Lattices, world: World, places: Float[np.ndarray, "p 3"]) ->
 
 def _tour(
     legs: list[dict[int, np.ndarray]], place: int, rng: np.random.Generator, waypoints: int
-) -> Float[np.ndarray, "m+1 3"]:
+) -> Float[np.ndarray, "n 3"]:
     """Points at even distances along a few legs in a row."""
     corners: list[np.ndarray] = []
     for _ in range(_LEGS):
