@@ -28,7 +28,7 @@ def optimiser_policy(time_weight: float, config: TimeAllocationConfig | None = N
         found = optimise_durations(
             "weighted", None, settings, waypoints, count - 1, weight, jnp.asarray(initial.derivatives)[1:], None
         )
-        real = jnp.arange(len(waypoints) - 1)[:, None] < count - 1
+        real = jnp.arange(len(waypoints) - 1, dtype=count.dtype)[:, None] < (count - 1)[None]
         return jnp.where(jnp.isfinite(found.cost), found.durations, jnp.where(real, jnp.inf, 0.0))
 
     return Policy("optimiser", encode, decode)

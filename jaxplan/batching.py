@@ -98,7 +98,7 @@ def at_fixed_width(function: Callable[[Indices], Any], indices: Indices, width: 
         return join([(part, len(some)) for part, some in zip(parts, cuts, strict=True)])
 
 
-def fill(indices: Indices, width: int) -> Int[np.ndarray, "w"]:
+def fill(indices: Indices, width: int) -> Int[np.ndarray, "{width}"]:
     """The indices with the first one repeated at the end until there are ``width``."""
     return np.concatenate([indices, np.full(width - len(indices), indices[0])])
 

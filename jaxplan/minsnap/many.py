@@ -1,7 +1,7 @@
 """``minimum_snap_batch``: many minimum-snap problems of mixed length at once, each with a status of its own."""
 
 import functools
-from typing import Annotated, Any, Protocol, runtime_checkable
+from typing import Annotated, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -94,12 +94,12 @@ class _Solver(Protocol):
 
     def __call__(
         self,
-        waypoints: Any,
-        durations: Any,
-        initial: Any | None,
-        terminal: Any | None,
-        yaw: Any | None,
-        initial_yaw: Any | None,
+        waypoints: ArrayLike,
+        durations: ArrayLike,
+        initial: AnyArray | None,
+        terminal: AnyArray | None,
+        yaw: AnyArray | None,
+        initial_yaw: AnyArray | None,
         /,
     ) -> MinimumSnapBatch:
         """Solutions in the precision of the arrays, whose shapes and units are those of ``solve_batch``."""

@@ -131,7 +131,7 @@ def optimise_durations(
         counts: real segments of each sequence.
         amount: rho [m^2/s^8] for kind "weighted", the total time [s] for "fixed".
     """
-    real = jnp.arange(len(waypoints) - 1)[:, None] < counts[None]
+    real = jnp.arange(len(waypoints) - 1, dtype=counts.dtype)[:, None] < counts[None]
     marks = real.astype(waypoints.dtype)
     given = [initial] if yaw is None else [initial, yaw[:, None]]
     status = problem_status(waypoints, marks, *given)
