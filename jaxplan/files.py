@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and folders that belong to one configuration.
+"""Files that are there whole or not at all, read no further than they should be, and folders of one configuration.
 
 Everything that the library writes for keeps goes through here: results, shards, states of training, weights' cards.
 """
@@ -48,6 +48,29 @@ def write_through(path: Path, content: str | bytes | Writer) -> None:
     else:
         content(path)
     flush(path)
+
+
+def read_limited(path: Path, limit: int, want: str) -> bytes:
+    """The whole of a file of at most ``limit`` bytes; never reads more than that.
+
+    Args:
+        path: of the file.
+        limit: bytes; a larger file is something else.
+        want: what the file should be, for messages: "a target model, written by jaxplan train gmm".
+
+    Raises:
+        FileError: no such file, unreadable or larger.
+    """
+    if not path.is_file():
+        raise FileError(f"{path}: no such file; want {want}")
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(limit + 1)
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
+    if len(content) > limit:
+        raise FileError(f"{path}: has more than {limit} bytes; want {want}")
+    return content
 
 
 def flush(path: Path) -> None:

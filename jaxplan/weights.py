@@ -1,8 +1,9 @@
-"""Trained arrays as one file, and whether they are what they claim to be.
+"""Trained arrays as one file, and whether they are what they state.
 
 An ``.npz`` of plain arrays with a JSON header: format, kind, and what the kind adds (sizes, golden outputs, a model
-card). Behind it stands the SHA-256 of all that precedes, so that no bit changes unseen; ``numpy.load`` reads the file
-all the same. A file that is damaged, of another version or of another kind is refused by name.
+card, the vehicle that they are for). Behind it stands the SHA-256 of all that precedes, so that no bit changes unseen;
+``numpy.load`` reads the file all the same. A file that is damaged, of another version or of another kind is refused by
+name. ``jaxplan.prediction.target_model`` has a container of its own (docs/decisions/0017-files-of-what-was-learned.md).
 """
 
 import hashlib
@@ -15,6 +16,7 @@ import jax
 import numpy as np
 
 from jaxplan.errors import FileError
+from jaxplan.files import cannot_write, read_limited, write_atomically
 
 FORMAT = 3
 LARGEST = 64 * 2**20
@@ -24,12 +26,19 @@ Arrays = dict[str, np.ndarray]
 
 
 def write_weights(path: Path, kind: str, header: dict[str, Any], tree: Any) -> None:
-    """Write a tree of arrays (as float32) with its header."""
+    """Write a tree of arrays (as float32) with its header, whole or not at all; the same content has the same bytes.
+
+    Raises:
+        ResourceError: the disk refuses.
+    """
     arrays = flatten(tree)
     stated = {"format": FORMAT, "kind": kind, **header}
     packed = io.BytesIO()
     np.savez(packed, allow_pickle=False, header=np.frombuffer(json.dumps(stated).encode(), np.uint8), **arrays)
-    path.write_bytes(signed(packed.getvalue()))
+    try:
+        write_atomically(path, signed(packed.getvalue()))
+    except OSError as error:
+        raise cannot_write(path, error) from error
 
 
 def signed(content: bytes) -> bytes:
@@ -41,11 +50,9 @@ def read_weights(path: Path, kind: str) -> tuple[dict[str, Any], Arrays]:
     """Header and arrays of a file of this ``kind``.
 
     Raises:
-        FileError: damaged, of another format or kind, or of another hash than the file states.
+        FileError: not there, too large, damaged, of another format or kind, or of another hash than the file states.
     """
-    if path.stat().st_size > LARGEST:
-        raise FileError(f"{path}: has {path.stat().st_size} bytes, want a {kind} of at most {LARGEST}")
-    content = path.read_bytes()
+    content = read_limited(path, LARGEST, f"a {kind}, written by jaxplan train")
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as data:
             arrays = {key: data[key] for key in data.files}

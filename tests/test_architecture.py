@@ -26,6 +26,7 @@ SIBLINGS = {
     ("config", "validation"),
     ("versions", "errors"),
     ("weights", "errors"),
+    ("weights", "files"),
     ("mjcf_probe", "errors"),
     ("validation", "errors"),
     ("files", "errors"),

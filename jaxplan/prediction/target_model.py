@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxplan.errors import FileError, InputError
+from jaxplan.files import read_limited, write_atomically
 from jaxplan.prediction.mixture import ConditionalMixture, conditional_mixture
 from jaxplan.world.obstacles import World
 
@@ -28,6 +29,7 @@ GENERIC = "generic"
 _SHIPPED = Path(__file__).parent / "models"
 _LARGEST_FILE = 64 * 2**20
 _LARGEST_CARD = 2**20
+_WANTED = "a target model, written by jaxplan train gmm, beside its card"
 _SAME_BOUNDS = 1e-3
 """Metres by which a room may differ from the one that a model was made for."""
 
@@ -71,7 +73,10 @@ def window_coordinates(
 
 
 def save_model(model: TargetModel, path: Path, origin: dict[str, Any]) -> None:
-    """Write ``path`` (.npy) and its card (.json), in which ``origin`` says where the model comes from."""
+    """Write ``path`` (.npy) and its card (.json), in which ``origin`` says where the model comes from.
+
+    Each is there whole or not at all; a new array beside an old card is refused by its hash.
+    """
     rows, columns = np.tril_indices(model.means.shape[1])
     table = np.concatenate([model.weights[:, None], model.means, model.factors[:, rows, columns]], axis=1)
     buffer = io.BytesIO()
@@ -87,8 +92,8 @@ def save_model(model: TargetModel, path: Path, origin: dict[str, Any]) -> None:
         "sha256": hashlib.sha256(buffer.getvalue()).hexdigest(),
         **origin,
     }
-    path.write_bytes(buffer.getvalue())
-    card_path(path).write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
+    write_atomically(path, buffer.getvalue())
+    write_atomically(card_path(path), json.dumps(card, indent=1) + "\n")
 
 
 def card_path(path: Path) -> Path:
@@ -100,7 +105,7 @@ def load_model(path: str | Path) -> TargetModel:
     """Read a model and check all of it; raises FileError for what is missing, damaged or of another version."""
     path = Path(path)
     card = _read_card(card_path(path))
-    data = _read(path, _LARGEST_FILE)
+    data = read_limited(path, _LARGEST_FILE, _WANTED)
     if hashlib.sha256(data).hexdigest() != card["sha256"]:
         raise FileError(f"{path}: its content is not what {card_path(path).name} vouches for; copy or train it again")
     observed = card["observations"] - 1 + (card["bounds"] is not None)
@@ -161,21 +166,8 @@ def check_model(model: TargetModel, *, observations: int, steps: int, dt: float,
             )
 
 
-def _read(path: Path, limit: int) -> bytes:
-    if not path.is_file():
-        raise FileError(f"{path}: no such file; want a target model, written by jaxplan train gmm, beside its card")
-    try:
-        with path.open("rb") as stream:
-            data = stream.read(limit + 1)
-    except OSError as error:
-        raise FileError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
-    if len(data) > limit:
-        raise FileError(f"{path}: has more than {limit} bytes; this is no target model")
-    return data
-
-
 def _read_card(path: Path) -> dict[str, Any]:
-    data = _read(path, _LARGEST_CARD)
+    data = read_limited(path, _LARGEST_CARD, _WANTED)
     try:
         card = json.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:

@@ -1,4 +1,4 @@
-"""Random rooms to train in: other ones than the three that the planner is judged by.
+"""Random rooms to train in: other ones than the three in which the planner is tested.
 
 Every room has the same number of obstacles of each kind, the unused ones out of sight, so that all rooms share the
 compiled functions of one.

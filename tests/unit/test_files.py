@@ -9,7 +9,7 @@ import pytest
 
 from jaxplan import files
 from jaxplan.errors import FileError, InputError, ResourceError
-from jaxplan.files import create_folder, require_configuration, state_configuration, write_atomically
+from jaxplan.files import create_folder, read_limited, require_configuration, state_configuration, write_atomically
 
 STATED = {"steps": 3, "network": {"hidden": 64, "latent": 32}, "span": (0.5, 2.0), "rounds": 7}
 
@@ -76,6 +76,26 @@ def test_a_folder_belongs_to_the_configuration_that_it_states(tmp_path: Path) ->
         state_configuration(folder, {**STATED, "rounds": 9})
     state_configuration(folder, {**STATED, "rounds": 9}, may_differ=("rounds",))
     require_configuration(folder, {**STATED, "rounds": 9})
+
+
+def test_files_are_read_whole_up_to_a_limit(tmp_path: Path) -> None:
+    path = tmp_path / "model.bin"
+    path.write_bytes(b"12345")
+    assert read_limited(path, 5, "a model") == b"12345"
+    with pytest.raises(FileError, match=r"model\.bin: has more than 4 bytes; want a model"):
+        read_limited(path, 4, "a model")
+    for missing in (tmp_path / "other.bin", tmp_path):
+        with pytest.raises(FileError, match=r"no such file; want a model"):
+            read_limited(missing, 5, "a model")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
+def test_what_may_not_be_read_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "model.bin"
+    path.write_bytes(b"12345")
+    path.chmod(0)
+    with pytest.raises(FileError, match="check its permissions"):
+        read_limited(path, 5, "a model")
 
 
 @pytest.mark.parametrize("content", ["", "[1]", "\x00", "3"])

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import TypeCheckError
 
 from jaxplan import cli
 from jaxplan.errors import InputError
@@ -138,7 +139,9 @@ def test_labels_go_where_the_classifier_is_least_sure():
 
 
 def test_wrong_settings_are_refused():
-    for wrong in ({"method": "sarsa"}, {"learning_rate": 0.0}, {"tries": 0}, {"halved": 0}):
+    with pytest.raises((InputError, TypeCheckError), match="method"):  # where annotations are checked, they come first
+        ReinforceConfig(method="sarsa")
+    for wrong in ({"learning_rate": 0.0}, {"tries": 0}, {"halved": 0}, {"anchor": np.nan}):
         with pytest.raises(InputError, match="reinforce"):
             ReinforceConfig(**wrong)
     with pytest.raises(InputError, match="pool"):

@@ -24,7 +24,8 @@ from jaxplan.policy.neural import neural_policy
 from jaxplan.records import replace
 from jaxplan.training.dataset import DatasetConfig, dataset_vehicle, in_turn, make_dataset
 from jaxplan.training.evaluate import compare
-from jaxplan.training.labels import LabelConfig
+from jaxplan.training.examples import Examples
+from jaxplan.training.labels import LabelConfig, initial_states
 from jaxplan.training.mfrl import MfrlConfig, reinforce
 from jaxplan.training.sequences import free_queries
 from jaxplan.vehicle import identity
@@ -184,12 +185,15 @@ def test_a_vehicle_is_no_leaf_and_another_one_is_another_program(small_vehicle: 
 
 def test_training_and_scores_refuse_another_vehicle(tmp_path, small_vehicle: Vehicle) -> None:
     start = TrainedPolicy(SMALL, parameters(), identify(load_vehicle()))
+    queries, durations = free_queries(np.random.default_rng(0), 2), np.ones((13, 2))
+    examples = Examples(
+        queries.waypoints, queries.count, initial_states(queries), durations, np.ones(2), np.zeros((13, 2))
+    )
     with pytest.raises(InputError, match="pretrained policy: was made for vehicle 'mfrl'"):
-        reinforce(tmp_path / "run", None, small_vehicle, start, MfrlConfig(), LabelConfig())
+        reinforce(tmp_path / "run", examples, small_vehicle, start, MfrlConfig(), LabelConfig())
     assert not (tmp_path / "run").exists()
-    queries = free_queries(np.random.default_rng(0), 2)
     with pytest.raises(InputError, match="policy 'mfrl': was made for vehicle 'mfrl'"):
-        compare(load_policy("mfrl"), small_vehicle, queries, np.ones((13, 2)), LabelConfig())
+        compare(load_policy("mfrl"), small_vehicle, queries, durations, LabelConfig())
 
 
 def test_a_dataset_is_of_one_vehicle_even_if_its_file_changes(tmp_path) -> None:
