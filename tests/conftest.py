@@ -8,8 +8,15 @@ dtypes, which the library's own code does not need. The library must work withou
 
 import os
 import signal
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # what one process compiled no other one of the run compiles again
+    _COMPILED = tempfile.TemporaryDirectory(prefix="jaxplan-compiled-")
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = _COMPILED.name
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 import jax
 import pytest
@@ -47,6 +54,13 @@ def examples() -> Path:
     if not folder.is_dir():
         pytest.skip(f"the third-party example inputs are not at {folder}")
     return folder
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forget_programs() -> Iterator[None]:
+    """No module's compiled programs stay in memory after it."""
+    yield
+    jax.clear_caches()
 
 
 @pytest.fixture
