@@ -57,6 +57,8 @@ class Note(enum.IntFlag):
     """The path needed a finer lattice than the distance between the drones calls for."""
     PREDICTOR_FALLBACK = 1 << 2
     """Too little was seen of the target, or nothing like it in training: constant velocity instead."""
+    LESS_PADDING = 1 << 3
+    """No path keeps the padding from all obstacles; this one comes closer."""
 
 
 class PlanStatus(enum.IntEnum):

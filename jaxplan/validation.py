@@ -41,6 +41,14 @@ def require_within(owner: str, config: object, low: float, high: float, *names: 
             raise InputError(f"{owner}: {name} is {value}, want {low:g} to {high:g}")
 
 
+def require_one_of(owner: str, config: object, choices: tuple[str, ...], *names: str) -> None:
+    """Raise ``InputError`` unless the named fields are among the ``choices``."""
+    for name in names:
+        value = getattr(config, name)
+        if value not in choices:
+            raise InputError(f"{owner}: {name} is {value!r}, want one of {', '.join(choices)}")
+
+
 def require_range(owner: str, config: object, *names: str) -> None:
     """Raise ``InputError`` unless the named fields are pairs of finite numbers above 0, the lesser first."""
     for name in names:

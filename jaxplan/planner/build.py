@@ -55,7 +55,11 @@ def build_planner(
     require_same_vehicle(f"policy {policy.name!r}", policy.vehicle, vehicle)
     require_same_vehicle("classifier", None if classifier is None else classifier.vehicle, vehicle)
     config = config or PlannerConfig()
-    lattices = build_lattices(world, SearchConfig(padding=config.padding))
+    least = min(config.padding, float(vehicle.radius) + config.checks.tracking_margin)
+    options = SearchConfig(
+        method=config.search, padding=config.padding, least_padding=least if config.narrow_passages else None
+    )
+    lattices = build_lattices(world, options)
     return _planner(Parts(config, compile_stations(config, vehicle, policy, classifier), lattices, _on_device(world)))
 
 

@@ -12,10 +12,11 @@ from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.planner.timer import Timer
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.records import record
+from jaxplan.search.lattice import METHODS
 from jaxplan.selection import CheckConfig, Margins
 from jaxplan.selection import select as select_best
 from jaxplan.spline import FlatState, PiecewisePolynomial
-from jaxplan.validation import require_at_least, require_positive, require_within
+from jaxplan.validation import require_at_least, require_one_of, require_positive, require_within
 from jaxplan.world.obstacles import World
 from jaxplan.world.update import Change
 
@@ -26,6 +27,10 @@ class PlannerConfig:
 
     padding: float = 0.5
     """Clearance of goals and searched paths from obstacles [m] (paper, Sec. IV)."""
+    search: str = "roadmap"
+    """How paths are searched: "roadmap", or "multi-resolution" as the paper does."""
+    narrow_passages: bool = True
+    """Where no path keeps the padding, take one that keeps the vehicle's radius and the tracking margin (roadmap)."""
     max_speed: float = 8.0
     """Goals that need more than this average speed [m/s] are dropped at once (arbitrary, above what is ever flown)."""
     max_yaw_rate: float = 1.5
@@ -46,6 +51,7 @@ class PlannerConfig:
         require_positive("planner", self, "max_speed", "max_yaw_rate")
         require_at_least("planner", self, 0, "padding")
         require_within("planner", self, 1, 65536, "width")
+        require_one_of("planner", self, METHODS, "search")
 
 
 @record

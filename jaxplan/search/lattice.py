@@ -9,12 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int, UInt32
-from scipy import ndimage
 
 from jaxplan.errors import InputError
 from jaxplan.records import record, static
+from jaxplan.search.components import label_components
 from jaxplan.search.kernels.graph import Frame, Graph, make_frame, permitted_moves
-from jaxplan.validation import require_at_least
+from jaxplan.search.roadmap import Roadmap, build_roadmap
+from jaxplan.validation import require_at_least, require_one_of
 from jaxplan.world.obstacles import World
 from jaxplan.world.occupancy import (
     PADDING,
@@ -23,25 +24,34 @@ from jaxplan.world.occupancy import (
     occupancy_lattices,
 )
 
+METHODS = ("roadmap", "multi-resolution")
+
 
 @dataclass(frozen=True, kw_only=True)
 class SearchConfig:
     """Options of the search; the defaults are the interception paper's."""
 
+    method: str = "roadmap"
+    """How ``find_routes`` searches: "roadmap", or "multi-resolution", the paper's rule: the lattice grows with the
+    distance between the drones."""
     resolutions: tuple[float, ...] = RESOLUTIONS
     """Cell sizes [m], finest first, each a multiple of the first."""
     distance_fractions: tuple[float, ...] = (0.1, 0.2, 0.4)
     """Up to which inter-drone distance, as a fraction of the room's diagonal, each but the last resolution is used."""
     padding: float = PADDING
     """Distance that paths keep from obstacles [m]."""
+    least_padding: float | None = None
+    """Distance [m] that a roadmap's paths keep where no path keeps the padding; None: there are no such paths."""
     node_budget: int = 2_000_000
-    """Cells settled at most per search of ``find_paths`` (arbitrary: about half a second)."""
+    """Cells settled at most per search of ``find_paths``, and of ``find_routes`` for goals that no road leads to
+    (arbitrary: about half a second)."""
     first_budget: int = 6_000
     """Cells that ``find_routes`` settles on a lattice before it turns to the next coarser one (measured: 2 ms)."""
     last_budget: int = 30_000
     """Cells that ``find_routes`` settles on a lattice once no coarser one has reached a goal (measured: 10 ms)."""
 
     def __post_init__(self) -> None:
+        require_one_of("search", self, METHODS, "method")
         fractions = self.distance_fractions
         if len(fractions) != len(self.resolutions) - 1 or list(fractions) != sorted(fractions):
             raise InputError(
@@ -49,6 +59,11 @@ class SearchConfig:
                 "one per resolution but the last"
             )
         require_at_least("search", self, 0.0, "padding")
+        if self.least_padding is not None and not 0.0 <= self.least_padding <= self.padding:
+            raise InputError(
+                f"search: have least_padding {self.least_padding:g} m, want at least 0 and at most the padding, "
+                f"{self.padding:g} m"
+            )
         require_at_least("search", self, 1, "node_budget", "first_budget", "last_budget")
 
 
@@ -68,6 +83,8 @@ class Lattices:
     """The lattices of one world, finest first."""
 
     levels: tuple[SearchLattice, ...]
+    roadmap: Roadmap | None
+    """None where only lattices are searched."""
     config: SearchConfig = static()
 
 
@@ -83,13 +100,13 @@ class Paths:
     reasons: UInt32[np.ndarray, "k"]
     """``Reason.NO_PATH``, or ``Reason.PREFIX_ONLY`` where the path is longer than the capacity."""
     notes: UInt32[np.ndarray, "k"]
-    """``Note.START_PADDED`` and ``Note.FINER_LATTICE``."""
+    """``Note.START_PADDED``, ``Note.FINER_LATTICE`` and ``Note.LESS_PADDING``."""
     resolution: Float[np.ndarray, "k"]
-    """Cell size of the lattice that found the path [m]; NaN where there is none."""
+    """Cell size of the lattice that found the path, the finest one's for roads [m]; NaN where there is none."""
     length: Float[np.ndarray, "k"]
     """Length of the whole path to the goal [m], also where ``points`` holds its prefix; inf where there is none."""
     expanded: int
-    """Cells settled, over all lattices tried."""
+    """Places and cells settled, over all that was tried."""
 
 
 def build_lattices(world: World, config: SearchConfig | None = None) -> Lattices:
@@ -99,7 +116,9 @@ def build_lattices(world: World, config: SearchConfig | None = None) -> Lattices
     """
     config = SearchConfig() if config is None else config
     grids = occupancy_lattices(world, config.resolutions, config.padding)
-    return Lattices(levels=tuple(_search_lattice(grid) for grid in grids), config=config)
+    limits = (config.padding,) if config.least_padding is None else (config.padding, config.least_padding)
+    roadmap = build_roadmap(world, grids[0], limits) if config.method == "roadmap" else None
+    return Lattices(levels=tuple(_search_lattice(grid) for grid in grids), roadmap=roadmap, config=config)
 
 
 def choose_level(lattices: Lattices, distance: float, diagonal: float) -> int:
@@ -110,15 +129,9 @@ def choose_level(lattices: Lattices, distance: float, diagonal: float) -> int:
 
 
 def _search_lattice(grid: Lattice) -> SearchLattice:
-    """Permitted moves and connected components of one lattice.
-
-    Without corner cutting, 26-connected cells are connected exactly if they are 6-connected: a diagonal step can be
-    taken axis by axis through its free bounding box. So SciPy's default labelling finds the components.
-    """
-    labels, _ = ndimage.label(~grid.occupied)
-    return SearchLattice(
-        grid=grid, moves=permitted_moves(grid.occupied), components=labels.astype(np.int32).reshape(-1)
-    )
+    """Permitted moves and connected components of one lattice."""
+    labels = label_components(~grid.occupied)
+    return SearchLattice(grid=grid, moves=permitted_moves(grid.occupied), components=labels.reshape(-1))
 
 
 def level_graph(lattices: Lattices, level: int) -> Graph:

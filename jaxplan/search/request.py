@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from jaxplan.errors import InputError
+from jaxplan.search.kernels.sight import clearances
 from jaxplan.search.lattice import Lattices, Paths
 from jaxplan.status import Note, Reason
 from jaxplan.world.obstacles import World
@@ -16,6 +17,8 @@ _ESCAPES = 128
 """Free cells near a padded start whose line of sight is examined; arbitrary."""
 _SAMPLES = 64
 """Points per line of sight: one of 1 m is resolved to 16 mm."""
+_CLOSE = 0.4
+"""Share of the padding from which on a start needs no way out of its own (arbitrary)."""
 _ESCAPE_RADIUS = 1.5
 """m; arbitrary, three times the padding."""
 
@@ -28,6 +31,8 @@ class Request(NamedTuple):
     point at all where there is no way out."""
     goals: Float[np.ndarray, "k 3"]
     """[m]; unusable ones are 0."""
+    start_clearance: float
+    """From the last point of the head to the nearest obstacle [m]."""
     open: Bool[np.ndarray, "k"]
     """Usable goals without a path so far."""
     paths: Paths
@@ -40,18 +45,23 @@ def open_request(
     start: Annotated[ArrayLike, "3"],
     goals: Annotated[ArrayLike, "k 3"],
     capacity: int,
+    from_free_cell: bool = True,
 ) -> Request:
-    """Check and copy the arguments of a search, sort out unusable goals and find the way out of padding."""
+    """Check and copy the arguments of a search, sort out unusable goals and find the way out of padding.
+
+    ``from_free_cell``: the search needs a free cell to begin in; one over roads needs it only where the start is so
+    close to an obstacle that the way out comes first.
+    """
     begin, ends = _points(start, "start", (3,)), _points(goals, "goals", (-1, 3))
     if capacity < 3:
         raise InputError(f"capacity: have {capacity!r}, want at least 3 points per path")
     paths = _no_paths(begin, len(ends), capacity)
     usable = _usable_goals(lattices, world, ends)
     ends[~usable] = 0.0
-    head, padded = _path_head(lattices, world, begin)
+    head, to_obstacle, padded = _path_head(lattices, world, begin, from_free_cell)
     if padded:
         paths.notes[:] |= np.uint32(Note.START_PADDED)
-    return Request(head=head, goals=ends, open=usable, paths=paths)
+    return Request(head=head, goals=ends, start_clearance=to_obstacle, open=usable, paths=paths)
 
 
 def mark_finer(lattices: Lattices, first: int, paths: Paths) -> None:
@@ -109,32 +119,35 @@ def _usable_goals(lattices: Lattices, world: World, goals: Float[np.ndarray, "k 
     index = np.where(usable[:, None], goals, lower) - grid.origin
     index = np.minimum((index / grid.resolution).astype(np.int64), np.array(grid.shape) - 1)
     doubtful = np.flatnonzero(usable & grid.occupied[tuple(index.T)])
-    to_obstacle, to_wall = _exact_margins(world, goals[doubtful])
+    to_obstacle, to_wall = _exact_margins(lattices, world, goals[doubtful])
     usable[doubtful] = (to_obstacle >= lattices.config.padding) & (to_wall >= float(world.keep_in))
     return usable
 
 
 def _path_head(
-    lattices: Lattices, world: World, start: Float[np.ndarray, "3"]
-) -> tuple[Float[np.ndarray, "h 3"], bool]:
-    """The points before the search: the start, and the free cell to escape to if the start's own is occupied.
+    lattices: Lattices, world: World, start: Float[np.ndarray, "3"], from_free_cell: bool
+) -> tuple[Float[np.ndarray, "h 3"], float, bool]:
+    """The points before the search, the clearance of the last one [m], and whether the start is padded.
 
-    Also whether the start is truly padded, or too close to a face of the room. No points: there is no way out.
+    Padded: too close to an obstacle or to a face of the room. No points: there is no way out.
     """
     if not np.isfinite(start).all():
-        return np.zeros((0, 3)), False
+        return np.zeros((0, 3)), 0.0, False
     grid = lattices.levels[0].grid
     index = np.floor((start - grid.origin) / grid.resolution)
     inside = ((index >= 0) & (index < grid.shape)).all()
-    if inside and not grid.occupied[tuple(index.astype(np.int64))]:
-        return start[None], False
-    to_obstacle, to_wall = _exact_margins(world, start[None])
-    padded = not (to_obstacle[0] >= lattices.config.padding and to_wall[0] >= float(world.keep_in))
+    free = bool(inside and not grid.occupied[tuple(index.astype(np.int64))])
+    if free and from_free_cell:
+        return start[None], np.inf, False
+    (to_obstacle,), (to_wall,) = _exact_margins(lattices, world, start[None])
+    padded = not free and not (to_obstacle >= lattices.config.padding and to_wall >= float(world.keep_in))
+    if not from_free_cell and to_obstacle >= _CLOSE * lattices.config.padding and to_wall >= 0.0:
+        return start[None], float(to_obstacle), padded
     centres = _free_cells_near(grid, start)
     clear = np.asarray(_lines_are_clear(world, start, centres))
     if not clear.any():
-        return np.zeros((0, 3)), padded
-    return np.stack([start, centres[np.argmax(clear)]]), padded
+        return np.zeros((0, 3)), 0.0, padded
+    return np.stack([start, centres[np.argmax(clear)]]), np.inf, padded
 
 
 def _free_cells_near(grid: Lattice, start: Float[np.ndarray, "3"]) -> Float[np.ndarray, "escapes 3"]:
@@ -151,11 +164,14 @@ def _free_cells_near(grid: Lattice, start: Float[np.ndarray, "3"]) -> Float[np.n
 
 
 def _exact_margins(
-    world: World, points: Float[np.ndarray, "n 3"]
+    lattices: Lattices, world: World, points: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Distances [m] to the nearest obstacle and to the nearest face."""
     lower, upper = np.asarray(world.bounds)
-    return exact_clearance(world.obstacles, points), np.minimum(points - lower, upper - points).min(axis=-1)
+    to_wall = np.minimum(points - lower, upper - points).min(axis=-1)
+    if lattices.roadmap is not None:
+        return clearances(lattices.roadmap.field.solids, points), to_wall
+    return exact_clearance(world.obstacles, points), to_wall
 
 
 def _lines_are_clear(

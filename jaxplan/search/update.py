@@ -7,13 +7,12 @@ then be apart, which costs a search its budget but never hides a path. Arrays ke
 
 import numpy as np
 from jaxtyping import Bool, Int
-from scipy import ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from jaxplan.precision import in_float64
+from jaxplan.search.components import join_components
 from jaxplan.search.kernels.graph import permitted_moves
 from jaxplan.search.lattice import Lattices, SearchLattice
+from jaxplan.search.roadmap import update_roadmap
 from jaxplan.world.obstacles import World
 from jaxplan.world.occupancy import Lattice, coarsen, kept_in, padded_cells
 from jaxplan.world.update import Change
@@ -38,7 +37,8 @@ def update_lattices(lattices: Lattices, change: Change) -> Lattices:
         _update_level(world, level, padded, first, factor)
         for level, factor in zip(lattices.levels, factors, strict=True)
     )
-    return Lattices(levels=levels, config=lattices.config)
+    roadmap = None if lattices.roadmap is None else update_roadmap(lattices.roadmap, world, lower, upper)
+    return Lattices(levels=levels, roadmap=roadmap, config=lattices.config)
 
 
 def _shortfall(world: World) -> float:
@@ -66,37 +66,10 @@ def _update_level(
     local = permitted_moves(occupied[beyond]).reshape(occupied[beyond].shape)
     offset = [slice(a.start - b.start, a.start - b.start + 10**9) for a, b in zip(around, beyond, strict=True)]
     moves[around] = local[tuple(offset)][tuple(slice(0, n) for n in moves[around].shape)]
-    labels = _joined_labels(level.components.reshape(grid.shape), occupied, around)
+    labels = join_components(level.components.reshape(grid.shape), occupied, around)
     return SearchLattice(grid=fresh, moves=moves.reshape(-1), components=labels.reshape(-1))
 
 
 def _grown(window: tuple[slice, ...], cells: int) -> tuple[slice, ...]:
     """The window with so many more cells on each side, as far as there are any."""
     return tuple(slice(max(part.start - cells, 0), part.stop + cells) for part in window)
-
-
-def _joined_labels(
-    labels: Int[np.ndarray, "nx ny nz"], occupied: Bool[np.ndarray, "nx ny nz"], around: tuple[slice, ...]
-) -> Int[np.ndarray, "nx ny nz"]:
-    """Labels in which all parts that touch within ``around`` are one; closed cells have none.
-
-    The parts within ``around`` and the labels there before are the nodes of a graph, joined where they share a cell:
-    each of its components is one label from now on, the least of those that it had.
-    """
-    local, parts = ndimage.label(~occupied[around])
-    before, most = labels[around], int(labels.max(initial=0))
-    shared = (local > 0) & (before > 0)
-    ends = np.unique(local[shared].astype(np.int64) * (most + 1) + before[shared])
-    olds, column = np.unique(ends % (most + 1), return_inverse=True)
-    nodes = 1 + parts + len(olds)  # node 0: closed cells
-    edges = coo_array((np.ones(len(ends)), (ends // (most + 1), 1 + parts + column)), shape=(nodes, nodes))
-    count, component = connected_components(edges, directed=False)
-    names = np.full(count, most + 1)
-    np.minimum.at(names, component[1 + parts :], olds)
-    names[component[0]] = 0
-    names[names > most] += np.arange(int((names > most).sum()))
-    renamed = np.arange(most + 1)
-    renamed[olds] = names[component[1 + parts :]]
-    joined = renamed.astype(labels.dtype)[labels] if (renamed[olds] != olds).any() else labels.copy()
-    joined[around] = names[component[: 1 + parts]].astype(labels.dtype)[local]
-    return joined

@@ -10,7 +10,7 @@ from jaxplan.search.kernels import astar
 from jaxplan.search.kernels.graph import NO_ENTRY
 from jaxplan.search.kernels.paths import write_paths
 from jaxplan.search.kernels.taut import write_straight, write_taut
-from jaxplan.search.lattice import Lattices, build_lattices, grid_frame, level_graph
+from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices, grid_frame, level_graph
 from jaxplan.search.multi_resolution import find_paths
 from jaxplan.search.routes import find_routes
 from jaxplan.world.load import load_world
@@ -37,7 +37,7 @@ def world() -> World:
 
 @pytest.fixture(scope="module")
 def lattices(world: World) -> Lattices:
-    return build_lattices(world)
+    return build_lattices(world, SearchConfig(method="multi-resolution"))
 
 
 def goals_in(lattices: Lattices, count: int, seed: int) -> np.ndarray:
