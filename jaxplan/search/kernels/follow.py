@@ -16,22 +16,13 @@ from jaxtyping import Bool, Float, Int
 from jaxplan.search.kernels.cells import at, distance
 from jaxplan.search.kernels.compiled import entry_point, inner, source_digest
 from jaxplan.search.kernels.heap import Heap, make_heap, pop, push
-from jaxplan.search.kernels.roads import TANGENT, Roads, along_surface
+from jaxplan.search.kernels.roads import TANGENT, Roads
 from jaxplan.search.kernels.sight import keeps_clear
-from jaxplan.search.kernels.tighten import last_needed, put, tighten
+from jaxplan.search.kernels.tighten import last_needed, tighten
+from jaxplan.search.kernels.ways import FAR, NEAR, Search, best_place, list_ways, runs_along, unroll
 
-NEAR = 0.4
-"""m; goals that share an order of places (arbitrary)."""
-GAIN = 0.99
-"""A goal takes another place than the goals around it where its way is shorter by this factor (arbitrary)."""
 FIRST_REACH = 1.3
 """How far is looked at first, as a multiple of the distance to the farthest goal; then twice as far (arbitrary)."""
-FIRST_SPREAD = 0.2
-"""m; how much longer than the shortest way ways are looked at first; then four times as much (arbitrary)."""
-TURN_SLACK = 0.1
-"""By how much a bend may turn away from the surface, as a difference of unit vectors; the bends are not yet moved."""
-_FAR = 1e6
-"""m; beyond every room."""
 
 _push, _pop = inner(push), inner(pop)
 
@@ -45,26 +36,6 @@ class Limits(NamedTuple):
     """The same on the way from the start to the first place, which may be nearer to obstacles [m]."""
     tangent: float = TANGENT
     """Sine of the angle to the surface, for the ways from the start and to goals; 1 for any."""
-
-
-class _Search(NamedTuple):
-    """A search under way, in compiled code."""
-
-    field: tuple
-    limit: float
-    near: float
-    tangent: float
-    points: Float[np.ndarray, "n 3"]
-    normals: Float[np.ndarray, "n 3"]
-    start: tuple
-    cost: Float[np.ndarray, "n"]
-    """Least way from the start to each place so far [m]."""
-    parent: Int[np.ndarray, "n"]
-    """The place before; -1 for the start."""
-    ways: Float[np.ndarray, "n"]
-    """By place, the way over it to the goal that is looked at [m]."""
-    order: Int[np.ndarray, "n"]
-    """Places listed for that goal."""
 
 
 @runtime_checkable
@@ -116,7 +87,7 @@ def _compiled_follow() -> _Follow:
     def entry(field, limits, roads, heap, head, goals, wanted, points, count, length):
         _ = version
         n, heap = len(roads[0]), Heap(*heap)
-        s = _Search(
+        s = Search(
             field,
             limits[0],
             limits[1],
@@ -133,11 +104,11 @@ def _compiled_follow() -> _Follow:
         farthest = _write_straight(s, head, goals, left, points, count, length)
         raw, bent, normals = np.empty((n + 2, 3)), np.empty((n + 2, 3)), np.zeros((n + 2, 3))
         settled, before, reach = 0, -1.0, FIRST_REACH * farthest
-        while left.any() and before < _FAR:
+        while left.any() and before < FAR:
             settled += _settle(s, roads, heap, before, reach)
-            ended = settled == n or reach >= _FAR
-            _write_bent(s, _FAR if ended else reach, head, goals, left, done, raw, bent, normals, points, count, length)
-            before, reach = (_FAR if ended else reach), 2.0 * reach
+            ended = settled == n or reach >= FAR
+            _write_bent(s, FAR if ended else reach, head, goals, left, done, raw, bent, normals, points, count, length)
+            before, reach = (FAR if ended else reach), 2.0 * reach
         return settled
 
     return entry  # type: ignore[no-any-return]
@@ -168,7 +139,7 @@ def _settle(s, roads, heap, before, reach):
         p = at(s.points, u)
         apart = distance(s.start, p)
         fresh = before < apart <= reach and apart < s.cost[u]
-        if fresh and _runs_along(s, u, s.start, p, apart) and keeps_clear(s.field, s.near, s.start, p):
+        if fresh and runs_along(s, u, s.start, p, apart) and keeps_clear(s.field, s.near, s.start, p):
             s.cost[u], s.parent[u] = apart, -1
             _push(heap, u, apart)
     settled = 0
@@ -195,14 +166,14 @@ def _write_bent(s, reach, head, goals, left, done, raw, bent, normals, points, c
         if done[g]:
             continue
         here = at(goals, g)
-        first, listed = _list_ways(s, here, hint)
+        first, listed = list_ways(s, here, hint)
         hint = first if first >= 0 else hint
         last, bends = -1, 0
         for other in range(g, len(goals)):
             goal = at(goals, other)
             if done[other] or distance(here, goal) > NEAR:
                 continue
-            u = _best_place(s, goal, here, first, listed)
+            u = best_place(s, goal, here, first, listed)
             if u < 0 and other > g and first >= 0:
                 continue  # with an order of its own, later
             done[other] = True
@@ -210,130 +181,15 @@ def _write_bent(s, reach, head, goals, left, done, raw, bent, normals, points, c
                 continue
             left[other] = False
             if u != last:
-                last, bends = u, _unroll(s, u, goal, bent, normals)
+                last, bends = u, unroll(s, u, goal, bent, normals)
                 bends = tighten(s, bent, normals, bends)
             kept = last_needed(s, bent, bends, goal)
             if kept >= 0:
                 _write(head, bent, kept, goal, other, points, count, length)
             else:
-                kept = _unroll(s, u, goal, raw, normals)
+                kept = unroll(s, u, goal, raw, normals)
                 last = -1
                 _write(head, raw, kept, goal, other, points, count, length)
-
-
-@inner
-@no_type_check
-def _list_ways(s, goal, hint):
-    """The place over which the way to a goal is shortest, and how many are listed; -1 and 0 without any.
-
-    Listed, in the order of their ways, are the places that may be best for a goal up to ``NEAR`` from this one. Those
-    with shorter ways are not: they do not see the goal. Place ``hint``, if there is one, is tried first: longer ways
-    are of no interest.
-    """
-    shortest = np.inf
-    for u in range(len(s.points)):
-        s.ways[u] = s.cost[u] + distance(at(s.points, u), goal)
-        shortest = min(shortest, s.ways[u])
-    if shortest == np.inf:
-        return -1, 0
-    best, tested, bound = -1, 0, shortest + FIRST_SPREAD
-    if hint >= 0 and _leads_on(s, hint, goal):
-        best, bound = hint, s.ways[hint]
-    while True:
-        listed = _sort_ways(s, -1.0, bound)
-        for n in range(tested, listed):
-            u = s.order[n]
-            if best >= 0 and s.ways[u] >= bound:
-                break
-            if _leads_on(s, u, goal):
-                best = u
-                break
-        if best >= 0:
-            return best, _sort_ways(s, s.ways[best], s.ways[best] + 2.0 * NEAR)
-        if bound > _FAR:
-            return -1, 0
-        tested, bound = listed, shortest + 4.0 * (bound - shortest)
-
-
-@inner
-@no_type_check
-def _sort_ways(s, least, most):
-    """List the places whose ways are longer than ``least`` and at most ``most`` [m] (Shell's sort); their number."""
-    order, listed = s.order, 0
-    for u in range(len(s.ways)):
-        if least < s.ways[u] <= most and s.ways[u] < np.inf:
-            order[listed] = u
-            listed += 1
-    gap = 1
-    while gap < listed:
-        gap = 3 * gap + 1
-    while gap > 1:
-        gap //= 3
-        for n in range(gap, listed):
-            u, to = order[n], n
-            while to >= gap and s.ways[order[to - gap]] > s.ways[u]:
-                order[to] = order[to - gap]
-                to -= gap
-            order[to] = u
-    return listed
-
-
-@inner
-@no_type_check
-def _best_place(s, goal, here, first, listed):
-    """The place over which the way to a goal is shortest, of those found for the goal ``here``; -1 for none."""
-    away = distance(goal, here)
-    best, least = -1, np.inf
-    if first >= 0 and _leads_on(s, first, goal):
-        best, least = first, s.cost[first] + distance(at(s.points, first), goal)
-    for n in range(listed):
-        u = s.order[n]
-        if s.ways[u] - away >= GAIN * least:
-            break
-        way = s.cost[u] + distance(at(s.points, u), goal)
-        if way < GAIN * least and _leads_on(s, u, goal):
-            best, least = u, way
-    return best
-
-
-@inner
-@no_type_check
-def _leads_on(s, u, goal):
-    """Whether a way can turn at place ``u`` towards a goal [m] that it sees."""
-    p = at(s.points, u)
-    apart = max(distance(p, goal), 1e-9)
-    if not _runs_along(s, u, p, goal, apart):
-        return False
-    before = s.start if s.parent[u] < 0 else at(s.points, s.parent[u])
-    since = max(distance(before, p), 1e-9)
-    turn = 0.0
-    for axis in range(3):
-        turn += s.normals[u, axis] * ((goal[axis] - p[axis]) / apart - (p[axis] - before[axis]) / since)
-    return turn <= TURN_SLACK and keeps_clear(s.field, s.limit, p, goal)
-
-
-@inner
-@no_type_check
-def _runs_along(s, u, a, b, apart):
-    """Whether the segment a-b of this length [m] may begin or end at place ``u``."""
-    return along_surface(s.normals, u, a, b, s.tangent * apart)
-
-
-@inner
-@no_type_check
-def _unroll(s, u, goal, path, normals):
-    """Write the start, the places up to ``u`` with their normals, and the goal; returns the number of places."""
-    bends, v = 0, u
-    while v >= 0:
-        bends, v = bends + 1, s.parent[v]
-    v = u
-    for i in range(bends, 0, -1):
-        put(path, i, at(s.points, v))
-        put(normals, i, at(s.normals, v))
-        v = s.parent[v]
-    put(path, 0, s.start)
-    put(path, bends + 1, goal)
-    return bends
 
 
 @inner
