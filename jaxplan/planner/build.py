@@ -57,7 +57,10 @@ def build_planner(
     config = config or PlannerConfig()
     least = min(config.padding, float(vehicle.radius) + config.checks.tracking_margin)
     options = SearchConfig(
-        method=config.search, padding=config.padding, least_padding=least if config.narrow_passages else None
+        method=config.search,
+        resolutions=tuple(config.resolution * factor for factor in (1, 2, 5, 10)),
+        padding=config.padding,
+        least_padding=least if config.narrow_passages else None,
     )
     lattices = build_lattices(world, options)
     return _planner(Parts(config, compile_stations(config, vehicle, policy, classifier), lattices, _on_device(world)))

@@ -29,6 +29,8 @@ class PlannerConfig:
     """Clearance of goals and searched paths from obstacles [m] (paper, Sec. IV)."""
     search: str = "roadmap"
     """How paths are searched: "roadmap", or "multi-resolution" as the paper does."""
+    resolution: float = 0.1
+    """Side of the finest cells [m] by which paths are searched; coarser where a room is too large."""
     narrow_passages: bool = True
     """Where no path keeps the padding, take one that keeps the vehicle's radius and the tracking margin (roadmap)."""
     max_speed: float = 8.0
@@ -48,7 +50,7 @@ class PlannerConfig:
     checks: CheckConfig = CheckConfig()
 
     def __post_init__(self) -> None:
-        require_positive("planner", self, "max_speed", "max_yaw_rate")
+        require_positive("planner", self, "max_speed", "max_yaw_rate", "resolution")
         require_at_least("planner", self, 0, "padding")
         require_within("planner", self, 1, 65536, "width")
         require_one_of("planner", self, METHODS, "search")

@@ -112,12 +112,15 @@ class Paths:
 def build_lattices(world: World, config: SearchConfig | None = None) -> Lattices:
     """The occupancy lattices of ``world`` with all that a search wants to know.
 
-    Raises ``InputError`` for a room that is too large.
+    Raises ``InputError`` for a room with too many cells, with the resolution that would fit.
     """
     config = SearchConfig() if config is None else config
-    grids = occupancy_lattices(world, config.resolutions, config.padding)
-    limits = (config.padding,) if config.least_padding is None else (config.padding, config.least_padding)
-    roadmap = build_roadmap(world, grids[0], limits) if config.method == "roadmap" else None
+    roadmap, padded = None, None
+    if config.method == "roadmap":
+        limits = (config.padding,) if config.least_padding is None else (config.padding, config.least_padding)
+        roadmap = build_roadmap(world, config.resolutions[0], limits)
+        padded = roadmap.field.values < config.padding
+    grids = occupancy_lattices(world, config.resolutions, config.padding, padded)
     return Lattices(levels=tuple(_search_lattice(grid) for grid in grids), roadmap=roadmap, config=config)
 
 

@@ -18,7 +18,7 @@ from jaxplan.search.kernels.roads import Box, Roads, join, touching
 from jaxplan.search.kernels.sight import Field, fill
 from jaxplan.search.kernels.solids import REACH, solids_of
 from jaxplan.world.obstacles import World
-from jaxplan.world.occupancy import Lattice, cell_centres
+from jaxplan.world.occupancy import cell_centres, finest_shape
 
 TILE = 20
 """Cells of the finest lattice along a side of a tile (arbitrary)."""
@@ -52,9 +52,12 @@ class Roadmap(NamedTuple):
     """The first at the padding, the others closer to obstacles."""
 
 
-def build_roadmap(world: World, lattice: Lattice, limits: tuple[float, ...]) -> Roadmap:
-    """The roadmap of a world on its finest lattice, for paths at the distances ``limits`` [m] from obstacles."""
-    field = _field(world, lattice)
+def build_roadmap(world: World, resolution: float, limits: tuple[float, ...]) -> Roadmap:
+    """The roadmap of a world for paths at the distances ``limits`` [m] from obstacles.
+
+    Places are looked for, and clearances known, on cells of side ``resolution`` [m].
+    """
+    field = _field(world, resolution)
     room = np.asarray(world.bounds, dtype=np.float64) + float(world.keep_in) * np.array([[1.0], [-1.0]])
     return Roadmap(field, room, tuple(_level(field, room, limit) for limit in limits))
 
@@ -63,16 +66,18 @@ def update_roadmap(
     roadmap: Roadmap, world: World, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]
 ) -> Roadmap:
     """The roadmap of a world of which only the obstacles in the box from ``lower`` to ``upper`` [m] have changed."""
+    lower, upper = lower - 2.0 * roadmap.field.shortfall, upper + 2.0 * roadmap.field.shortfall
     field = _changed_field(roadmap.field, world, lower, upper)
     levels = tuple(_changed_level(level, field, roadmap.room, lower, upper) for level in roadmap.levels)
     return Roadmap(field, roadmap.room, levels)
 
 
-def _field(world: World, lattice: Lattice) -> Field:
-    """Clearances at the centres of a lattice."""
-    frame = tuple(make_frame(lattice.shape, lattice.origin, lattice.resolution))
-    solids, values = tuple(solids_of(world)), np.empty(lattice.shape, np.float32)
-    fill(values, frame, solids, np.zeros(3, np.int64), np.array(lattice.shape))
+def _field(world: World, resolution: float) -> Field:
+    """Clearances at the centres of cells of side ``resolution`` [m]."""
+    shape = finest_shape(world, resolution)
+    frame = tuple(make_frame(shape, np.asarray(world.bounds, dtype=np.float64)[0], resolution))
+    solids, values = tuple(solids_of(world)), np.empty(shape, np.float32)
+    fill(values, frame, solids, np.zeros(3, np.int64), np.array(shape))
     sides = [float(grid.spacing) for grid in (world.mesh, world.voxels) if grid is not None]
     return Field(values, frame, _HALF_DIAGONAL * max(sides, default=0.0), solids)
 

@@ -31,13 +31,17 @@ def update_lattices(lattices: Lattices, change: Change) -> Lattices:
     first, last = np.clip(first, 0, finest.shape), np.clip(last, 0, finest.shape)
     if not (first < last).all():
         return lattices
-    where = finest.origin, last - first, finest.resolution
-    padded = padded_cells(world.obstacles, *where, lattices.config.padding, first)
+    roadmap = None if lattices.roadmap is None else update_roadmap(lattices.roadmap, world, lower, upper)
+    if roadmap is not None:
+        window = tuple(slice(a, b) for a, b in zip(first.tolist(), last.tolist(), strict=True))
+        padded = roadmap.field.values[window] < lattices.config.padding
+    else:
+        where = finest.origin, last - first, finest.resolution
+        padded = padded_cells(world.obstacles, *where, lattices.config.padding, first)
     levels = tuple(
         _update_level(world, level, padded, first, factor)
         for level, factor in zip(lattices.levels, factors, strict=True)
     )
-    roadmap = None if lattices.roadmap is None else update_roadmap(lattices.roadmap, world, lower, upper)
     return Lattices(levels=levels, roadmap=roadmap, config=lattices.config)
 
 

@@ -30,6 +30,8 @@ RESOLUTIONS = (0.1, 0.2, 0.5, 1.0)
 """m, from the interception paper."""
 MAX_CELLS = 2**24
 """Cells of the finest lattice; 16 MB of occupancy, and about 0.5 GB behind a search on it."""
+BYTES_PER_CELL = 32
+"""Of all that a search keeps of a world and needs on its way."""
 
 CHUNK = 2**11
 """Points per compiled call of the clearance: few enough for the handful of a search, enough for a million cells."""
@@ -59,21 +61,24 @@ class Lattice:
 
 
 def occupancy_lattices(
-    world: World, resolutions: tuple[float, ...] = RESOLUTIONS, padding: float = PADDING
+    world: World,
+    resolutions: tuple[float, ...] = RESOLUTIONS,
+    padding: float = PADDING,
+    padded: Bool[np.ndarray, "nx ny nz"] | None = None,
 ) -> tuple[Lattice, ...]:
-    """One lattice per resolution [m], finest first; each resolution is a multiple of the first. ``padding`` [m]."""
+    """One lattice per resolution [m], finest first; each resolution is a multiple of the first. ``padding`` [m].
+
+    ``padded``: cells of the finest lattice that are too close to an obstacle, where that is known already.
+    """
     factors = _factors(resolutions)
     if not 0.0 <= padding < np.inf:
         raise InputError(f"padding: have {padding!r}, want a distance of at least 0 m")
-    bounds = np.asarray(world.bounds, dtype=np.float64)
-    shape = _shape(bounds, resolutions[0])
-    cells = float(np.prod(shape.astype(float)))
-    if cells > MAX_CELLS:
-        raise InputError(
-            f"world {world.name!r}: have {cells:.3g} cells of {resolutions[0]:g} m, want at most {MAX_CELLS}; "
-            "use a smaller room or a coarser finest resolution"
+    shape = finest_shape(world, resolutions[0])
+    if padded is None:
+        origin = np.asarray(world.bounds, dtype=np.float64)[0]
+        padded = padded_cells(
+            world.obstacles, origin, np.array(shape), resolutions[0], padding, np.zeros(3, dtype=np.int64)
         )
-    padded = padded_cells(world.obstacles, bounds[0], shape, resolutions[0], padding, np.zeros(3, dtype=np.int64))
     return tuple(
         _lattice(world, coarsen(padded, factor), resolution)
         for factor, resolution in zip(factors, resolutions, strict=True)
@@ -101,8 +106,23 @@ def _factors(resolutions: tuple[float, ...]) -> list[int]:
     return factors
 
 
-def _shape(bounds: Float[np.ndarray, "2 3"], resolution: float) -> Int[np.ndarray, "3"]:
-    return np.maximum(np.ceil((bounds[1] - bounds[0]) / resolution - 1e-6), 1.0).astype(np.int64)
+def finest_shape(world: World, resolution: float) -> tuple[int, int, int]:
+    """Cells of that side [m] along each axis of a room.
+
+    Raises ``InputError`` where they are too many, with what they would take and which side would fit.
+    """
+    bounds = np.asarray(world.bounds, dtype=np.float64)
+    sides = np.maximum(np.ceil((bounds[1] - bounds[0]) / resolution - 1e-6), 1.0)
+    cells = float(np.prod(sides))
+    if not cells <= MAX_CELLS:
+        fits = np.ceil(100.0 * resolution * np.cbrt(cells / MAX_CELLS) * 1.01) / 100.0
+        raise InputError(
+            f"world {world.name!r}: have {cells:.3g} cells of {resolution:g} m, which take "
+            f"{cells * BYTES_PER_CELL / 1e6:.0f} MB, want at most {MAX_CELLS * BYTES_PER_CELL / 1e6:.0f} MB; "
+            f"use a smaller room or a finest resolution of {fits:g} m"
+        )
+    nx, ny, nz = (int(side) for side in sides)
+    return nx, ny, nz
 
 
 @in_float64
