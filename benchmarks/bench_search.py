@@ -1,6 +1,12 @@
-"""Search and knots for 400 candidates over the cycles of a pursuit, against SciPy's Dijkstra and scikit-image's MCP.
+"""Search and knots for 400 candidates: how long the paths are, how long they take, what a world's preparation takes.
 
-    jaxplan bench search [--json FILE]
+    jaxplan bench search [--json FILE] [--maps FILE ...]
+
+Quality: lengths of paths between random free points that do not see each other, as an excess over the reference, taut
+paths of the 0.1 m lattice searched without a budget; and how many goals that the reference reaches are missed. The
+paper's rule ("multi-resolution") stands beside the roadmap.
+
+Time: the cycles of a pursuit, against SciPy's Dijkstra and scikit-image's MCP.
 
 Each cycle puts the defender at a random share of the way to a stored target, so that all distances between the drones
 occur, and asks for routes to 20 predicted positions of the target with 20 noisy copies of each. The peers solve the
@@ -25,14 +31,19 @@ from jaxplan.io.targets import load_target, stored_targets
 from jaxplan.knots import KnotConfig, select_routes
 from jaxplan.precision import in_float64
 from jaxplan.search.kernels.graph import LENGTHS, STEPS
-from jaxplan.search.lattice import build_lattices, choose_level
+from jaxplan.search.lattice import SearchConfig, build_lattices, choose_level
 from jaxplan.search.routes import find_routes, warmup
 from jaxplan.world.clearance import clearance
 from jaxplan.world.load import ENVIRONMENTS, load_world
+from jaxplan.world.occupancy import exact_clearance
 
 from . import _harness
 
 CAPACITY = 32
+REFERENCE = SearchConfig(
+    method="multi-resolution", resolutions=(0.1,), distance_fractions=(), first_budget=10**8, last_budget=10**8
+)
+GOALS_A_START = 100
 STEP = {"env1": 0.1, "env2": 0.2, "env3": 0.2}
 """Seconds between predictions (interception paper, section IV)."""
 
@@ -109,11 +120,11 @@ def milliseconds(function, *arguments):
 
 
 @in_float64
-def measure(name, count, peers, seed):
+def measure(name, method, count, peers, seed):
     """One row per method with the times of one world's cycles, and one with the times of preparing."""
     world, rng = load_world(name), np.random.default_rng(seed)
     began = time.perf_counter()
-    lattices = build_lattices(world)
+    lattices = build_lattices(world, SearchConfig(method=method))
     built = time.perf_counter()
     warmup(lattices, world, CAPACITY)
     warm = time.perf_counter()
@@ -135,8 +146,73 @@ def measure(name, count, peers, seed):
             times["scipy"].append(milliseconds(scipy_paths, edges[level], grid, start, goals))
             if importlib.util.find_spec("skimage"):
                 times["skimage"].append(milliseconds(image_paths, grid, start, goals))
-    prepared = {"world": name, "method": "prepare", "build_s": built - began, "warmup_s": warm - built}
-    return [prepared, *({"world": name, "method": key, **quantiles(ms)} for key, ms in times.items() if ms)]
+    head = {"world": name, "search": method}
+    prepared = {**head, "method": "prepare", "build_s": built - began, "warmup_s": warm - built}
+    return [prepared, *({**head, "method": key, **quantiles(ms)} for key, ms in times.items() if ms)]
+
+
+def free_points(world, count, rng):
+    """Points [m] that keep the paper's padding and the room's margin."""
+    low, high = np.asarray(world.bounds) + float(world.keep_in) * np.array([[1.0], [-1.0]])
+    found = np.zeros((0, 3))
+    while len(found) < count:
+        points = rng.uniform(low, high, (1024, 3))
+        found = np.concatenate([found, points[exact_clearance(world.obstacles, points) >= REFERENCE.padding]])
+    return found[:count]
+
+
+def size_of(roadmap):
+    """Megabytes of a roadmap's arrays."""
+    return sum(leaf.nbytes for leaf in jax.tree.leaves(roadmap) if isinstance(leaf, np.ndarray)) / 1e6
+
+
+@in_float64
+def measure_quality(name, pairs, seed):
+    """One row per method: excess over the reference, goals missed, preparation, memory, 400 goals around one place."""
+    world, rng = load_world(name), np.random.default_rng(seed)
+    reference, rows = build_lattices(world, REFERENCE), []
+    queries = [
+        (free_points(world, 1, rng)[0], free_points(world, GOALS_A_START, rng)) for _ in range(pairs // GOALS_A_START)
+    ]
+    best = [find_routes(reference, world, start, goals, 1.0, 64) for start, goals in queries]
+    for method in ("roadmap", "multi-resolution"):
+        build_lattices(world, SearchConfig(method=method))
+        began = time.perf_counter()
+        lattices = build_lattices(world, SearchConfig(method=method))
+        built = time.perf_counter() - began
+        warmup(lattices, world, 64)
+        shares, missed, reached, times = [], 0, 0, []
+        for (start, goals), one in zip(queries, best, strict=True):
+            distance = float(np.linalg.norm(goals - start, axis=1).mean())
+            found = find_routes(lattices, world, start, goals, distance, 64)
+            there = one.reasons == 0
+            bent = there & (found.reasons == 0) & (one.length > np.linalg.norm(goals - start, axis=1) + 1e-9)
+            shares.append(found.length[bent] / one.length[bent] - 1.0)
+            missed, reached = missed + int((there & (found.reasons != 0)).sum()), reached + int(there.sum())
+            cloud = goals[np.argmax(there)] + rng.normal(scale=[0.3, 0.3, 0.1], size=(400, 3))
+            times.append(milliseconds(find_routes, lattices, world, start, cloud, distance, CAPACITY))
+        share = np.concatenate(shares)
+        excess = {
+            "mean": share.mean(),
+            "p90": np.quantile(share, 0.9),
+            "p99": np.quantile(share, 0.99),
+            "worst": share.max(),
+        }
+        rows.append(
+            {
+                "world": Path(name).stem,
+                "search": method,
+                "method": "quality",
+                "pairs": len(share),
+                **{f"excess_{key}_percent": 100.0 * float(value) for key, value in excess.items()},
+                "missed": f"{missed} of {reached}",
+                "build_s": built,
+                "memory_mb": size_of(lattices.roadmap),
+                "p50_ms": float(np.median(times)),
+                "max_ms": float(np.max(times)),
+            }
+        )
+    return rows
 
 
 def quantiles(values):
@@ -160,10 +236,17 @@ def main(argv=None):
     parser.add_argument("--cycles", type=int, default=200)
     parser.add_argument("--peers", type=int, default=10, help="cycles that the peers solve too")
     parser.add_argument("--worlds", nargs="+", default=list(ENVIRONMENTS))
+    parser.add_argument("--maps", nargs="*", default=[], help="map files whose paths are looked at too")
+    parser.add_argument("--pairs", type=int, default=2000, help="pairs of points by which paths are judged")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args(argv)
-    rows = [row for name in options.worlds for row in measure(name, options.cycles, options.peers, options.seed)]
+    rows = []
+    for name in [*options.worlds, *options.maps]:
+        rows += measure_quality(name, options.pairs, options.seed)
+    for name in options.worlds:
+        for method, peers in (("roadmap", options.peers), ("multi-resolution", 0)):
+            rows += measure(name, method, options.cycles, peers, options.seed)
     rows.append(measure_clearance(repeats=options.cycles))
     _harness.show(rows)
     if options.json:

@@ -84,7 +84,7 @@ def trajectory(
     lower, upper = np.asarray(world.bounds)
     pool = rng.uniform(lower + MARGIN, upper - MARGIN, (4096, 3))
     pool = pool[distance(pool) > MARGIN + 0.1]
-    lattices = build_lattices(world, SearchConfig(padding=MARGIN + 0.3)) if routed else None
+    lattices = build_lattices(world, SearchConfig(method="multi-resolution", padding=MARGIN + 0.3)) if routed else None
     while True:
         if lattices is None:
             chain: Float[np.ndarray, "n 3"] | None = draw_waypoints(pool, rng, waypoints)

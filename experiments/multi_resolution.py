@@ -25,7 +25,10 @@ from jaxplan.world.obstacles import World
 from .closed_loop import check_names
 from .figures.multi_resolution import draw_multi_resolution
 
-FINEST = SearchConfig(resolutions=(0.1,), distance_fractions=(), first_budget=10**7, last_budget=10**7)
+PAPER = SearchConfig(method="multi-resolution")
+FINEST = SearchConfig(
+    method="multi-resolution", resolutions=(0.1,), distance_fractions=(), first_budget=10**7, last_budget=10**7
+)
 """One lattice, searched to the end."""
 SPREAD = 0.6
 """Standard deviation [m] of the goals around the target (about that of a mixture's predictions after 1 s)."""
@@ -64,7 +67,7 @@ def items(config: Config) -> list[Item]:
 def evaluate(config: Config, item: Item) -> Row:
     """One row for each pair of places."""
     world, rng = load_world(item.values["world"]), np.random.default_rng(config.seed)
-    ways = {"multi": build_lattices(world), "finest": build_lattices(world, FINEST)}
+    ways = {"multi": build_lattices(world, PAPER), "finest": build_lattices(world, FINEST)}
     grid = ways["finest"].levels[0].grid
     free = grid.origin + (np.argwhere(~grid.occupied) + 0.5) * grid.resolution
     for lattices in ways.values():

@@ -22,7 +22,7 @@ from jaxplan.minsnap.single import minimum_snap
 from jaxplan.precision import in_float64
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
 from jaxplan.runner.tables import as_latex, as_markdown, number
-from jaxplan.search.lattice import build_lattices
+from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes
 from jaxplan.world.load import ENVIRONMENTS, load_world
 
@@ -54,7 +54,7 @@ def random_routes(pairs: int, seed: int) -> list[Float[np.ndarray, "p 3"]]:
     routes: list[tuple[str, Float[np.ndarray, "p 3"]]] = []
     for name in ENVIRONMENTS:
         world = load_world(name)
-        lattices, rng = build_lattices(world), np.random.default_rng(seed)
+        lattices, rng = build_lattices(world, SearchConfig(method="multi-resolution")), np.random.default_rng(seed)
         grid = lattices.levels[0].grid
         free = grid.origin + (np.argwhere(~grid.occupied) + 0.5) * grid.resolution
         while sum(owner == name for owner, _ in routes) < pairs // len(ENVIRONMENTS):

@@ -141,7 +141,7 @@ def _start(config: InterceptConfig, world: World, target: Target, padding: float
         return np.asarray(config.start, dtype=float)
     if world.start is not None:
         return np.asarray(world.start, dtype=float)
-    lattices = build_lattices(world, SearchConfig(padding=padding))
+    lattices = build_lattices(world, SearchConfig(method="multi-resolution", padding=padding))
     return reachable_place(lattices, world, target.position(np.array([0.0]))[0])
 
 

@@ -39,7 +39,7 @@ class Room(NamedTuple):
 
 def open_room(world: World) -> Room:
     """Search a world's lattices once."""
-    return Room(world, build_lattices(world, SearchConfig(padding=PADDING)))
+    return Room(world, build_lattices(world, SearchConfig(method="multi-resolution", padding=PADDING)))
 
 
 def rest_queries(room: Room, rng: np.random.Generator, count: int) -> Queries | None:

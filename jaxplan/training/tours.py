@@ -21,7 +21,7 @@ _ROOM_FOR_CURVES = 0.3
 
 def tours(world: World, margin: float, waypoints: int = 12) -> WaypointSource:
     """Flights over far places of a world, with waypoints at even distances along the taut routes between them."""
-    lattices = build_lattices(world, SearchConfig(padding=margin + _ROOM_FOR_CURVES))
+    lattices = build_lattices(world, SearchConfig(method="multi-resolution", padding=margin + _ROOM_FOR_CURVES))
 
     def source(rng: np.random.Generator) -> Float[np.ndarray, "n 3 b"]:
         places = _places(world, margin + _ROOM_FOR_CURVES, rng)
