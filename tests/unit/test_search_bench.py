@@ -10,12 +10,14 @@ from jaxplan.cli import run
 
 
 def test_benchmark_runs_and_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("skimage")
     out = tmp_path / "search.json"
-    bench_search.main(["--cycles", "2", "--peers", "1", "--worlds", "env1", "--json", str(out)])
+    bench_search.main(["--cycles", "2", "--peers", "1", "--worlds", "env1", "--pairs", "100", "--json", str(out)])
     written = json.loads(out.read_text())
     methods = {row["method"] for row in written["rows"]}
-    assert methods >= {"prepare", "routes", "knots", "routes + knots", "scipy", "skimage"}
+    assert methods >= {"quality", "prepare", "routes", "knots", "routes + knots", "scipy"}
+    quality = {row["search"]: row for row in written["rows"] if row["method"] == "quality"}
+    assert quality["roadmap"]["excess_mean_percent"] < min(3.0, quality["multi-resolution"]["excess_mean_percent"])
+    assert quality["roadmap"]["missed"].startswith("0 of ")
     assert {"processor", "versions", "commit"} <= set(written["machine"])
     assert "routes + knots" in capsys.readouterr().out
 
