@@ -9,21 +9,20 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int32
+from scipy.sparse import coo_array
 
 from jaxplan.search.components import join_components, label_components
 from jaxplan.search.kernels.graph import make_frame
 from jaxplan.search.kernels.places import REACH as PLACES_REACH
 from jaxplan.search.kernels.places import places_of
 from jaxplan.search.kernels.roads import Box, Roads, join, touching
-from jaxplan.search.kernels.sight import Field, fill
+from jaxplan.search.kernels.sight import HALF_DIAGONAL, Field, fill
 from jaxplan.search.kernels.solids import REACH, solids_of
 from jaxplan.world.obstacles import World
 from jaxplan.world.occupancy import cell_centres, finest_shape
 
 TILE = 20
 """Cells of the finest lattice along a side of a tile (arbitrary)."""
-_HALF_DIAGONAL = 0.5 * np.sqrt(3.0)
-"""Of a cell with side 1."""
 
 
 _Places = tuple[Float[np.ndarray, "_ 3"], Float[np.ndarray, "_ 3"]]
@@ -79,7 +78,7 @@ def _field(world: World, resolution: float) -> Field:
     solids, values = tuple(solids_of(world)), np.empty(shape, np.float32)
     fill(values, frame, solids, np.zeros(3, np.int64), np.array(shape))
     sides = [float(grid.spacing) for grid in (world.mesh, world.voxels) if grid is not None]
-    return Field(values, frame, _HALF_DIAGONAL * max(sides, default=0.0), solids)
+    return Field(values, frame, HALF_DIAGONAL * max(sides, default=0.0), solids)
 
 
 def _changed_field(field: Field, world: World, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Field:
@@ -151,7 +150,7 @@ def _open_cells(field: Field, room: Float[np.ndarray, "2 3"], limit: float) -> B
     centres = cell_centres(np.array(field.frame[3:6]), side, field.values.shape)
     within = room + 0.5 * side * np.array([[-1.0], [1.0]])
     inside = [(c >= low) & (c <= high) for c, low, high in zip(centres, *within, strict=True)]
-    free = field.values >= limit - _HALF_DIAGONAL * side - field.shortfall
+    free = field.values >= limit - HALF_DIAGONAL * side - field.shortfall
     free &= inside[0][:, None, None] & inside[1][None, :, None] & inside[2][None, None, :]
     return np.asarray(free)
 
@@ -189,11 +188,11 @@ def _roads(
     points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], pairs: Int32[np.ndarray, "e 2"]
 ) -> Roads:
     """Roads in both directions, in order."""
+    lengths = np.linalg.norm(points[pairs[:, 1]] - points[pairs[:, 0]], axis=1).astype(np.float32)
     ends = np.concatenate([pairs, pairs[:, ::-1]])
-    begin, end = ends[np.lexsort((ends[:, 1], ends[:, 0]))].T
-    first = np.searchsorted(begin, np.arange(len(points) + 1)).astype(np.int32)
-    lengths = np.linalg.norm(points[end] - points[begin], axis=1).astype(np.float32)
-    return Roads(points, normals, first, np.ascontiguousarray(end), lengths)
+    table = coo_array((np.tile(lengths, 2), ends.T), shape=(len(points), len(points))).tocsr()
+    table.sort_indices()
+    return Roads(points, normals, table.indptr.astype(np.int32), table.indices.astype(np.int32), table.data)
 
 
 def connected(

@@ -16,11 +16,18 @@ from jaxplan.search.kernels.compiled import inner
 @no_type_check
 def sees(blocked, frame, a, b):
     """Whether the segment a-b [m] crosses no blocked cell, b's own cell left out."""
+    return crosses_only(blocked, 1, 1, frame, a, b)
+
+
+@inner
+@no_type_check
+def crosses_only(values, sign, least, frame, a, b):
+    """Whether in all cells that the segment a-b [m] crosses, b's own left out, ``sign`` times the value is less."""
     i, di, ni, ti, hi = _axis_walk(frame.x, frame.h, frame.nx, a[0], b[0])
     j, dj, nj, tj, hj = _axis_walk(frame.y, frame.h, frame.ny, a[1], b[1])
     m, dm, nm, tm, hm = _axis_walk(frame.z, frame.h, frame.nz, a[2], b[2])
     for _ in range(ni + nj + nm):
-        if blocked[i, j, m]:
+        if sign * values[i, j, m] >= least:
             return False
         if ti <= tj and ti <= tm:
             i, ni = i + di, ni - 1

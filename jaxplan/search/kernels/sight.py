@@ -19,6 +19,8 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from jaxplan.search.kernels.cells import at, index
 from jaxplan.search.kernels.compiled import entry_point, inner, source_digest
+from jaxplan.search.kernels.graph import Frame
+from jaxplan.search.kernels.line_of_sight import crosses_only
 from jaxplan.search.kernels.solids import clearance_at, to_primitive
 
 MISSED = 4e-4
@@ -29,6 +31,8 @@ SLACK = 4e-4
 
 FEW = 64
 """Up to so many primitives are tested one by one."""
+HALF_DIAGONAL = 0.5 * math.sqrt(3.0)
+"""Of a cell with side 1."""
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
@@ -111,6 +115,9 @@ def _trace(field, limit, a, b):
     """The same for all that is solid, in steps as long as the clearance allows."""
     values, frame, shortfall, solids = field
     nx, ny, nz, ox, oy, oz, h = frame
+    closed = limit - SLACK - HALF_DIAGONAL * h - shortfall  # a cell with this clearance is too close all over
+    if not crosses_only(values, -1.0, -closed, Frame(nx, ny, nz, ox, oy, oz, h), a, b):
+        return False
     dx, dy, dz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     inverse = 1.0 / max(length, 1e-12)
