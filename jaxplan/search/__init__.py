@@ -1,6 +1,8 @@
-"""Paths from the defender to all candidates on lattices of several resolutions (host).
+"""Paths from the defender to all candidates (host).
 
-Read ``lattice`` (what is searched), ``request`` (unusable goals, the way out of padding), ``routes`` (what the planner
-calls), ``multi_resolution`` (the paper's rule, the reference for it), ``start_place``, ``update`` (a world that
-changes in flight); ``kernels`` holds what numba compiles.
+Read ``routes`` (what the planner calls), ``roadmap`` (where shortest paths can bend), ``request`` (unusable goals, the
+way out of padding). The paper's rule: ``lattice`` (what is searched), ``lattice_routes``, and ``multi_resolution``, the
+reference for it. Then ``update`` (a world that changes in flight), ``components``, ``start_place``. ``kernels`` holds
+what numba compiles: ``solids`` and ``sight`` (exact clearance of points and segments), ``places``, ``roads``, ``follow``,
+``ways``, ``tighten`` for the roadmap; ``astar`` and what it needs for lattices.
 """
