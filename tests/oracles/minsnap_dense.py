@@ -3,6 +3,8 @@
 Shares nothing with the library: no Hermite basis, no block structure, no scaling. High precision by mpmath.
 """
 
+import functools
+
 import mpmath as mp
 import numpy as np
 
@@ -108,13 +110,22 @@ def _kkt(rows, right, times, order, m, n, d):
 
 def _columns(system, vector, d):
     """Solve for several right-hand sides with one factorisation."""
-    factor, pivots = mp.mp.LU_decomp(system)
+    factor, pivots = _factors(tuple(system), system.rows, mp.mp.prec)
     out = mp.zeros(vector.rows, d)
     for axis in range(d):
         column = mp.mp.U_solve(factor, mp.mp.L_solve(factor, vector[:, axis], pivots))
         for row in range(vector.rows):
             out[row, axis] = column[row]
     return out
+
+
+@functools.lru_cache(maxsize=1)
+def _factors(entries, size, precision):
+    """Triangular factors of a square system, kept for the next right-hand side."""
+    system = mp.matrix(size, size)
+    for k, entry in enumerate(entries):
+        system[k // size, k % size] = entry
+    return mp.mp.LU_decomp(system)
 
 
 def _row(n, derivative, s):

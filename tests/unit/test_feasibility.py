@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from jaxplan.errors import FileError, InputError
 from jaxplan.feasibility.checkpoint import classifier_card, load_classifier, save_classifier
-from jaxplan.feasibility.classifier import make_classifier, new_model
+from jaxplan.feasibility.classifier import Classifier, make_classifier, new_model
 from jaxplan.feasibility.features import (
     DURATION,
     INSTANTS,
@@ -45,6 +45,10 @@ from jaxplan.training.scores import area_under_curve, binary_scores
 from jaxplan.vehicle.limits import least_rotor_margin, thrust_limit_margin
 from jaxplan.vehicle.load import load_vehicle
 
+summary_of = jax.jit(summarise)
+predict_motion = jax.jit(Classifier.predict_motion)
+covariance_of = jax.jit(lambda kernel, one, other: kernel(one, other))
+
 
 def random_process(kernel, dimensions, count=20, seed=0):
     rng = np.random.default_rng(seed)
@@ -60,17 +64,17 @@ def test_marginals_follow_their_definition(kernel):
     x = np.random.default_rng(1).uniform(-2, 2, (7, 4))
     exact = jax.tree.map(lambda leaf: np.asarray(leaf, float), process)
     with jax.enable_x64(True):
-        inner = np.asarray(exact.kernel(jnp.asarray(exact.inducing), jnp.asarray(exact.inducing)))
-        cross = np.asarray(exact.kernel(jnp.asarray(exact.inducing), jnp.asarray(x)))
-        prior = np.diag(np.asarray(exact.kernel(jnp.asarray(x), jnp.asarray(x))))
+        inner = np.asarray(covariance_of(exact.kernel, jnp.asarray(exact.inducing), jnp.asarray(exact.inducing)))
+        cross = np.asarray(covariance_of(exact.kernel, jnp.asarray(exact.inducing), jnp.asarray(x)))
+        prior = np.diag(np.asarray(covariance_of(exact.kernel, jnp.asarray(x), jnp.asarray(x))))
     factor = np.linalg.cholesky(inner + 1e-4 * inner.diagonal().max() * np.eye(len(inner)))
     root = np.tril(exact.root, -1) + np.diag(np.exp(np.diag(exact.root)))
     weights = np.linalg.solve(factor, cross)
     mean = exact.offset + weights.T @ exact.mean
     variance = prior - (weights**2).sum(axis=0) + ((root.T @ weights) ** 2).sum(axis=0)
     for found in (
-        marginals(process, jnp.asarray(x, jnp.float32)),
-        predict(posterior(process), jnp.asarray(x, jnp.float32)),
+        jax.jit(marginals)(process, x.astype(np.float32)),
+        jax.jit(lambda process, x: predict(posterior(process), x))(process, x.astype(np.float32)),
     ):
         np.testing.assert_allclose(found[0], mean, atol=5e-3)
         np.testing.assert_allclose(found[1], variance, atol=2e-2)
@@ -79,23 +83,23 @@ def test_marginals_follow_their_definition(kernel):
 def test_kernels_are_positive_definite_and_the_second_depends_on_the_first():
     x = jnp.asarray(np.random.default_rng(0).normal(size=(30, 4)), jnp.float32)
     for kernel in (rbf(4), related(3, 1), related(2, 2)):
-        assert np.linalg.eigvalsh(np.asarray(kernel(x, x), float)).min() > -1e-4
+        assert np.linalg.eigvalsh(np.asarray(covariance_of(kernel, x, x), float)).min() > -1e-4
     same = jnp.concatenate([jnp.zeros((2, 3)), jnp.array([[1.0], [-1.0]])], axis=1)
-    covariance = np.asarray(related(3, 1)(same, same))
+    covariance = np.asarray(covariance_of(related(3, 1), same, same))
     assert covariance[0, 1] < covariance[0, 0]
 
 
 def test_probability_and_expectation_against_quadrature():
     mean, variance = jnp.array([-2.0, 0.3, 4.0]), jnp.array([0.5, 2.0, 1.0])
-    grid = np.linspace(-30, 30, 200_001)
+    chances, grid = np.asarray(jax.jit(probability)(mean, variance)), np.linspace(-30, 30, 200_001)
     for index in range(3):
         density = norm.pdf(grid, float(mean[index]), float(np.sqrt(variance[index])))
         step = grid[1] - grid[0]
         wanted = (density * norm.cdf(grid)).sum() * step
-        assert float(probability(mean, variance)[index]) == pytest.approx(wanted, abs=1e-5)
+        assert chances[index] == pytest.approx(wanted, abs=1e-5)
         for positive, sign in ((True, 1.0), (False, -1.0)):
             wanted = (density * norm.logcdf(sign * grid)).sum() * step
-            found = expected_log_likelihood(mean, variance, jnp.full(3, positive))[index]
+            found = jax.jit(expected_log_likelihood)(mean, variance, np.full(3, positive))[index]
             assert float(found) == pytest.approx(wanted, rel=2e-3, abs=1e-4)
 
 
@@ -104,8 +108,8 @@ def test_divergence_is_that_of_normal_distributions():
     root = np.tril(np.asarray(process.root, float), -1) + np.diag(np.exp(np.diag(process.root)))
     covariance, mean = root @ root.T, np.asarray(process.mean, float)
     wanted = 0.5 * (np.trace(covariance) + mean @ mean - 5 - np.linalg.slogdet(covariance)[1])
-    assert float(divergence(process)) == pytest.approx(wanted, rel=1e-4)
-    assert float(divergence(new_process(rbf(2), jnp.zeros((4, 2))))) == pytest.approx(0.0, abs=1e-6)
+    assert float(jax.jit(divergence)(process)) == pytest.approx(wanted, rel=1e-4)
+    assert float(jax.jit(divergence)(new_process(rbf(2), jnp.zeros((4, 2))))) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_with_every_datum_inducing_the_bound_approaches_the_exact_evidence():
@@ -114,7 +118,7 @@ def test_with_every_datum_inducing_the_bound_approaches_the_exact_evidence():
     x = jnp.asarray(rng.uniform(-2, 2, (12, 1)), jnp.float32)
     positive = jnp.asarray(np.asarray(x[:, 0]) > 0.2)
     kernel = Rbf(jnp.log(jnp.array([0.8])), jnp.log(jnp.float32(1.5)))
-    covariance = np.asarray(kernel(x, x), float) + 1e-4 * 2.25 * np.eye(12)
+    covariance = np.asarray(covariance_of(kernel, x, x), float) + 1e-4 * 2.25 * np.eye(12)
     draws = rng.multivariate_normal(np.zeros(12), covariance, 400_000)
     likelihood = norm.cdf(np.where(np.asarray(positive), 1, -1) * draws).prod(axis=1)
     evidence = np.log(likelihood.mean())
@@ -132,7 +136,8 @@ def test_with_every_datum_inducing_the_bound_approaches_the_exact_evidence():
     for _ in range(1500):
         found, values = climb(values)
     assert evidence - 0.1 < float(found) <= evidence + 0.01
-    chances = probability(*marginals(process._replace(mean=values[0], root=values[1]), x))
+    fitted = process._replace(mean=values[0], root=values[1])
+    chances = jax.jit(lambda process: probability(*marginals(process, x)))(fitted)
     exact = (norm.cdf(draws) * likelihood[:, None]).mean(axis=0) / likelihood.mean()
     np.testing.assert_allclose(chances, exact, atol=0.03)
 
@@ -146,17 +151,27 @@ def random_flights(seed=0, lanes=6):
 
 
 def flights_of(points, derivatives, yaw, durations):
-    state = FlatStateBatch(derivatives=jnp.asarray(derivatives), yaw=jnp.asarray(yaw))
-    return fit_each(state, jnp.asarray(points), jnp.asarray(durations), 1.5)
+    return fit_each(FlatStateBatch(derivatives=derivatives, yaw=yaw), points, durations, 1.5)
+
+
+@jax.jit
+def motion_of(*flight):
+    return motion_features(flights_of(*flight), load_vehicle())
+
+
+@jax.jit
+def margins_of(*flight):
+    states = flights_of(*flight).states(INSTANTS)
+    return thrust_limit_margin(load_vehicle(), states), least_rotor_margin(load_vehicle(), states)
 
 
 def features_of(*flight):
     with jax.enable_x64(True):
-        return np.asarray(motion_features(flights_of(*flight), load_vehicle()))
+        return np.asarray(motion_of(*flight))
 
 
 def test_features_do_not_change_when_a_flight_is_moved_or_turned():
-    points, derivatives, yaw, durations = random_flights()
+    points, derivatives, yaw, durations = random_flights(lanes=40)
     angle = 0.7
     turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
     moved = np.einsum("ij,njk->nik", turn, points) + np.array([5.0, -3.0, 2.0])[:, None]
@@ -165,20 +180,18 @@ def test_features_do_not_change_when_a_flight_is_moved_or_turned():
     rotated = np.einsum("ij,njk->nik", turn, derivatives)
     rotated[0] = moved[0]
     there = features_of(moved, rotated, turned, durations)
-    assert here.shape == (MOTION_FEATURES, INSTANTS, 6)
+    assert here.shape == (MOTION_FEATURES, INSTANTS, 40)
     np.testing.assert_allclose(here, there, atol=2e-3)
     assert np.abs(here - features_of(points, derivatives, yaw, 0.8 * durations)).max() > 0.1
 
 
 def test_the_low_fidelity_is_made_of_the_margin_and_the_summary_is_not():
     flight = random_flights(lanes=40)
-    vehicle, motion = load_vehicle(), features_of(*flight)
+    motion = features_of(*flight)
     with jax.enable_x64(True):
-        states = flights_of(*flight).states(INSTANTS)
-        shares = thrust_limit_margin(vehicle, states)
-        speeds = np.asarray(least_rotor_margin(vehicle, states))
-    low = np.asarray(low_fidelity(jnp.asarray(motion)))
-    compressed = 5.0 * np.asarray(shares) / (1.0 + np.abs(5.0 * np.asarray(shares))) ** 0.75
+        shares, speeds = (np.asarray(margin) for margin in margins_of(*flight))
+    low = np.asarray(jax.jit(low_fidelity)(motion))
+    compressed = 5.0 * shares / (1.0 + np.abs(5.0 * shares)) ** 0.75
     np.testing.assert_allclose(low[0], compressed.min(axis=0), rtol=1e-3, atol=1e-3)
     impulse = flight[-1].sum(axis=0) * np.maximum(SCARCE - compressed, 0.0).mean(axis=0)
     np.testing.assert_allclose(low[1], np.log(impulse + SHORT), atol=2e-3)
@@ -187,18 +200,18 @@ def test_the_low_fidelity_is_made_of_the_margin_and_the_summary_is_not():
     np.testing.assert_array_equal(low[0] >= 0.0, speeds >= 0.0)
     other = motion.copy()
     other[MARGIN] = 7.0
-    np.testing.assert_array_equal(summarise(jnp.asarray(motion)), summarise(jnp.asarray(other)))
+    np.testing.assert_array_equal(summary_of(motion), summary_of(other))
 
 
 def test_a_summary_is_extremes_and_means_and_turning_left_counts_as_turning_right():
     motion = random_motion(5, 0)
-    found, seen = np.asarray(summarise(jnp.asarray(motion))), motion[:DURATION].copy()
+    found, seen = np.asarray(summary_of(motion)), motion[:DURATION].copy()
     seen[YAWING] = np.abs(seen[YAWING])
     wanted = np.concatenate([seen.max(axis=1), seen.min(axis=1), seen.mean(axis=1), motion[DURATION, :1]])
     np.testing.assert_allclose(found, wanted, atol=1e-6)
     mirrored = motion.copy()
     mirrored[YAWING] *= -1.0
-    np.testing.assert_array_equal(found, summarise(jnp.asarray(mirrored)))
+    np.testing.assert_array_equal(found, summary_of(mirrored))
 
 
 def random_motion(count, seed):
@@ -218,17 +231,17 @@ def test_a_classifier_learns_from_the_low_fidelity_and_is_the_same_from_its_file
     config = ClassifierConfig(inducing=16, steps=400, batch=128, learning_rate=1e-2)
     model, loss = train_classifier(config, seen)
     assert np.isfinite(loss)
-    found = make_classifier(model).predict_motion(jnp.asarray(unseen.motion))
+    found = predict_motion(make_classifier(model), unseen.motion)
     scores = binary_scores(np.asarray(found.probability, float), unseen.feasible)
     assert scores["auc"] > 0.9
     assert scores["brier"] < 0.15
     assert (np.asarray(found.deviation) > 0.0).all()
     blind, _ = train_classifier(dataclasses.replace(config, related_to_low=False), seen)
-    guessed = make_classifier(blind).predict_motion(jnp.asarray(unseen.motion)).probability
+    guessed = predict_motion(make_classifier(blind), unseen.motion).probability
     assert area_under_curve(np.asarray(guessed, float), unseen.feasible) < 0.6
     path = tmp_path / "mine.npz"
     save_classifier(path, model, {"command": "none"}, vehicle=load_vehicle())
-    again = load_classifier(path).predict_motion(jnp.asarray(unseen.motion))
+    again = predict_motion(load_classifier(path), unseen.motion)
     np.testing.assert_array_equal(found.probability, again.probability)
     assert classifier_card(path)["command"] == "none"
     content = bytearray(path.read_bytes())

@@ -92,9 +92,10 @@ def test_many_paths_are_as_each_alone_and_long_ones_are_cut(longest):
     paths = np.linspace(0.0, 1.0, 9)[:, None] * lengths[:, None, None] * [1.0, 0.0, 0.0]
     shares = np.array([1.0, 0.5, 1.0])
     with jax.enable_x64(True):
-        together = jax.tree.map(np.asarray, jax.jit(lambda p, s: select_routes(p, config, s))(paths, shares))
-        alone = [select_routes(paths[k : k + 1], config, shares[k : k + 1]) for k in range(3)]
-        even = np.stack([resample(path, config.samples) for path in paths])
+        chosen = jax.jit(lambda p, s: select_routes(p, config, s))
+        together = jax.tree.map(np.asarray, chosen(paths, shares))
+        alone = [chosen(paths[k : k + 1], shares[k : k + 1]) for k in range(3)]
+        even = np.stack([jax.jit(resample, static_argnums=1)(path, config.samples) for path in paths])
     flown = np.array([2.0, 2.5, min(longest, 28.0)])
     np.testing.assert_allclose(together.samples[:, -1, 0], flown, atol=1e-9)
     np.testing.assert_allclose(together.knots.waypoints[:, -1, 0], flown, atol=1e-9)

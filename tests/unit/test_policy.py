@@ -24,11 +24,12 @@ from jaxplan.weights import signed
 CONFIG = NetworkConfig(hidden=16, attention=8, latent=4)
 
 
+@functools.cache
 def random_parameters(seed=0):
     network = PolicyNetwork(CONFIG)
     shapes = (13, SEGMENT_FEATURES, 2), (13, 2), (STATE_FEATURES, 2)
     features, real, state = (jnp.ones(shape, jnp.float32) for shape in shapes)
-    parameters = network.init(jax.random.key(seed), features, real > 0.0, state)
+    parameters = jax.jit(network.init)(jax.random.key(seed), features, real > 0.0, state)
     return jax.tree.map(lambda leaf: np.asarray(2.0 * leaf), parameters)
 
 
@@ -113,18 +114,23 @@ def test_degenerate_sequences_give_finite_durations_and_gradients(policy):
         return jnp.sum(policy.decode(policy.encode(points, counts), initial))
 
     with jax.enable_x64(True):
-        value, slopes = jax.value_and_grad(total, argnums=(0, 1))(jnp.asarray(points), initial)
+        value, slopes = jax.jit(jax.value_and_grad(total, argnums=(0, 1)))(points, initial)
     assert np.isfinite(value)
     assert all(np.isfinite(slope).all() for slope in jax.tree.leaves(slopes))
 
 
 def test_features_have_their_stated_shapes():
     points, counts, initial = sequences([3, 14])
-    frame = sequence_frame(jnp.asarray(points), jnp.asarray(counts, float))
-    features, real = segment_features(jnp.asarray(points), jnp.asarray(counts, float), frame)
+
+    @jax.jit
+    def all_features(points, counts, initial):
+        frame = sequence_frame(points, counts)
+        return segment_features(points, counts, frame), state_features(initial, frame)
+
+    (features, real), state = all_features(points, counts.astype(float), initial)
     assert features.shape == (13, SEGMENT_FEATURES, 2)
     assert real.sum(axis=0).tolist() == [2, 13]
-    assert state_features(initial, frame).shape == (STATE_FEATURES, 2)
+    assert state.shape == (STATE_FEATURES, 2)
 
 
 def test_checkpoints_come_back_as_they_were(tmp_path, policy):

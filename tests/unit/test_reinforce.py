@@ -49,17 +49,21 @@ def examples():
 
 @pytest.fixture(scope="module")
 def parameters():
-    return start_training(PretrainConfig(network=NETWORK)).parameters
+    return jax.jit(lambda: start_training(PretrainConfig(network=NETWORK)).parameters)()
+
+
+@jax.jit
+def splines_of(examples, factor):
+    """The flights with all durations changed by a factor."""
+    return fit_each(examples.initial, examples.waypoints, factor * examples.durations, 1.5)
 
 
 @pytest.fixture(scope="module")
 def classifier(examples):
     """Random opinions on such flights, which depend on the summary as much as on the margin."""
     with jax.enable_x64(True):
-        some = jax.tree.map(jnp.asarray, examples)
-        splines = fit_each(some.initial, some.waypoints, some.durations, 1.5)
-        motion = np.asarray(motion_features(splines, load_vehicle()))
-    model = new_model(8, 0, motion)
+        motion = np.asarray(jax.jit(motion_features)(splines_of(examples, 1.0), load_vehicle()))
+    model = jax.jit(new_model, static_argnums=(0, 1))(8, 0, motion)
     dimensions = len(model.scales.centre) - LOW_FIDELITIES
     length = float(np.sqrt(dimensions))
     kernel = Related(rbf(dimensions, length), rbf(dimensions, 2.0 * length), rbf(LOW_FIDELITIES))
@@ -70,16 +74,12 @@ def classifier(examples):
 def test_the_reward_is_probability_times_saved_time(examples, classifier):
     logs = np.log(np.maximum(examples.durations, 1e-3)) - 0.1
     with jax.enable_x64(True):
-        some = jax.tree.map(jnp.asarray, examples)
-        splines = fit_each(some.initial, some.waypoints, 0.9048374180359595 * some.durations, 1.5)
-        probability = lambda splines: classifier.predict(splines, load_vehicle()).probability  # noqa: E731
-        chance = np.asarray(probability(splines))
-        for config, gain in (
-            (ReinforceConfig(bonus=0.0), 1.0 - np.exp(-0.1)),
-            (ReinforceConfig(bonus=0.2), 1.2 - np.exp(-0.1)),
-            (ReinforceConfig(bonus=0.1, ceiling=0.05), 0.15),
-        ):
-            found, feasible, relative = rewards(probability, some, jnp.asarray(logs), config)
+        probability = jax.jit(lambda splines: classifier.predict(splines, load_vehicle()).probability)
+        chance = np.asarray(probability(splines_of(examples, 0.9048374180359595)))
+        configs = ReinforceConfig(bonus=0.0), ReinforceConfig(bonus=0.2), ReinforceConfig(bonus=0.1, ceiling=0.05)
+        earned = jax.jit(lambda logs: [rewards(probability, examples, logs, config) for config in configs])(logs)
+        gains = 1.0 - np.exp(-0.1), 1.2 - np.exp(-0.1), 0.15
+        for (found, feasible, relative), gain in zip(earned, gains, strict=True):
             np.testing.assert_allclose(feasible, chance, atol=1e-5)
             np.testing.assert_allclose(relative, np.exp(-0.1), rtol=1e-6)
             np.testing.assert_allclose(found, gain * chance, atol=1e-5)

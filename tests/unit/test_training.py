@@ -204,8 +204,8 @@ def test_training_learns_and_goes_on_where_it_stopped(tmp_path, data):
 
 
 def test_a_run_shorter_than_an_evaluation_is_evaluated_at_its_end(tmp_path, data):
-    state, error = pretrain(tmp_path, data, dataclasses.replace(SMALL, steps=2), report=lambda text: None)
-    assert int(state.step) == 2
+    state, error = pretrain(tmp_path, data, dataclasses.replace(SMALL, evaluate_every=100), report=lambda text: None)
+    assert int(state.step) == 40
     assert np.isfinite(error.overall)
 
 
@@ -217,15 +217,20 @@ def test_training_goes_on_from_given_weights(tmp_path, data):
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=0.01), first.averaged, second.averaged)
 
 
+@functools.partial(jax.jit, static_argnums=2)
+def compiled_loss(parameters, examples, config):
+    return imitation_loss(PolicyNetwork(SMALL.network), parameters, examples, jax.random.key(0), config, load_vehicle())
+
+
 @pytest.fixture
 def loss(data, x64):
     """(examples, weights): the loss of a policy with random weights; and some examples."""
     examples = jax.tree.map(jnp.asarray, take_examples(load_examples(data, held_out=True), np.arange(64)))
-    network, parameters = PolicyNetwork(SMALL.network), start_training(SMALL).parameters
+    parameters = jax.jit(lambda: start_training(SMALL).parameters)()
 
     def value(examples, **weights):
         config = dataclasses.replace(ImitationConfig(excess=0.0), **weights)
-        return float(imitation_loss(network, parameters, examples, jax.random.key(0), config, load_vehicle()))
+        return float(compiled_loss(parameters, examples, config))
 
     return value, examples
 

@@ -1,6 +1,7 @@
 """What was learned for one vehicle is refused for another, wherever both meet; files say whom they serve."""
 
 import dataclasses
+import functools
 import io
 import json
 import re
@@ -61,15 +62,17 @@ def world() -> World:
     return World(name="empty", bounds=bounds, obstacles=make_obstacles(), keep_in=np.array(0.2), provenance="test")
 
 
+@functools.cache
 def parameters(config: NetworkConfig = SMALL):
     shapes = (13, SEGMENT_FEATURES, 2), (13, 2), (STATE_FEATURES, 2)
     features, real, state = (jnp.ones(shape, jnp.float32) for shape in shapes)
-    return PolicyNetwork(config).init(jax.random.key(0), features, real > 0.0, state)
+    return jax.jit(PolicyNetwork(config).init)(jax.random.key(0), features, real > 0.0, state)
 
 
+@functools.cache
 def model():
     motion = np.random.default_rng(0).normal(size=(MOTION_FEATURES, INSTANTS, 12)).astype(np.float32)
-    return new_model(4, 0, motion)
+    return jax.jit(new_model, static_argnums=(0, 1))(4, 0, motion)
 
 
 def planner_for(vehicle: Vehicle, world: World, **parts):

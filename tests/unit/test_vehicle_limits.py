@@ -25,10 +25,14 @@ def trajectory(seed, pace, yaw_range=1.0):
     return jaxplan.minimum_snap(waypoints, durations, yaw=yaw_range * rng.normal(size=5))
 
 
+@jax.jit
+def rotor_speeds(vehicle, states):
+    return jax.vmap(lambda state: differential_flatness(vehicle, state).rotor_speeds)(states)
+
+
 def demanded(vehicle, spline, times):
     with jax.enable_x64(True):
-        states = jax.tree.map(jnp.asarray, spline.state(times))
-        return np.asarray(jax.vmap(lambda s: differential_flatness(vehicle, s).rotor_speeds)(states))
+        return np.asarray(rotor_speeds(vehicle, spline.state(times)))
 
 
 @pytest.mark.parametrize("name", ["mfrl", "flightgoggles"])
@@ -48,7 +52,7 @@ def test_answers_agree_with_dense_sampling_and_all_occur(name):
 
 def test_the_bounds_hold_everywhere_on_each_piece(x64):
     vehicle, spline, pieces = jaxplan.load_vehicle(), trajectory(1, 1.5), 16
-    low, high = squared_speed_bounds(vehicle, jax.tree.map(jnp.asarray, spline), pieces)
+    low, high = jax.jit(squared_speed_bounds, static_argnums=2)(vehicle, spline, pieces)
     starts = np.cumsum(spline.durations) - spline.durations
     shares = np.linspace(0.0, 1.0, 12)
     for piece in range(pieces):
@@ -78,18 +82,18 @@ def test_a_batch_equals_a_loop(x64):
 def test_the_share_of_thrust_has_the_sign_of_the_rotor_speed_and_a_slope_where_a_rotor_stands_still(x64):
     """The range of a rotor's thrust is that of its squared speed."""
     vehicle = jaxplan.load_vehicle()
+    margins_of = jax.jit(jax.vmap(lambda s: (thrust_limit_margin(vehicle, s), rotor_limit_margin(vehicle, s))))
     for pace in (0.5, 1.0, 2.0):
         spline = trajectory(3, pace)
         times = np.linspace(0.0, float(spline.duration), 200)
         speeds = demanded(vehicle, spline, times)
         squares, least, most = np.sign(speeds) * speeds**2, vehicle.rotor_speed_min**2, vehicle.rotor_speed_max**2
         wanted = np.minimum(squares - least, most - squares).min(axis=1) / (most - least)
-        states = jax.tree.map(jnp.asarray, spline.state(times))
-        found = jax.vmap(lambda state: thrust_limit_margin(vehicle, state))(states)
+        found, least_speed = margins_of(spline.state(times))
         np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12)
-        np.testing.assert_array_equal(found >= 0.0, jax.vmap(lambda s: rotor_limit_margin(vehicle, s))(states) >= 0.0)
+        np.testing.assert_array_equal(found >= 0.0, least_speed >= 0.0)
     falling = FlatState(derivatives=jnp.zeros((5, 3)).at[2, 2].set(-9.81), yaw=jnp.zeros(3))
-    slope = jax.grad(lambda rise: thrust_limit_margin(vehicle, add_thrust(falling, rise)))(0.0)
+    slope = jax.jit(jax.grad(lambda rise: thrust_limit_margin(vehicle, add_thrust(falling, rise))))(0.0)
     assert np.isfinite(slope)
 
 
