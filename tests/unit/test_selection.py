@@ -52,11 +52,12 @@ def dense(splines, lane, count=4000):
 
 def test_clearance_is_a_lower_bound_and_a_close_one(room, batch):
     splines, _, margins = batch
+    least = jax.jit(lambda points: jnp.min(free_distance(room, points)))
     for lane in range(WIDTH):
         spline, times = dense(splines, lane)
         with jax.enable_x64(True):
             points = spline.evaluate(times)[:, :3]
-            true = float(jnp.min(free_distance(room, points)))
+            true = float(least(points))
         assert float(margins.clearance[lane]) <= true + 1e-9
         speed = np.linalg.norm(spline.evaluate(times, 1)[:, :3], axis=1).max()
         half_piece = 0.5 * speed * float(spline.durations.max()) / CheckConfig().samples_per_segment
@@ -87,11 +88,11 @@ def test_a_needle_between_samples_is_not_missed(room, batch):
 def test_rotor_margin_matches_flatness_on_dense_samples(batch):
     splines, _, margins = batch
     vehicle = load_vehicle()
+    rotor_speeds = jax.jit(jax.vmap(lambda state: differential_flatness(vehicle, state).rotor_speeds))
     for lane in range(0, WIDTH, 4):
         spline, times = dense(splines, lane, 800)
         with jax.enable_x64(True):
-            flat = jax.vmap(lambda s: differential_flatness(vehicle, s))(spline.state(times))
-        speeds = np.asarray(flat.rotor_speeds)
+            speeds = np.asarray(rotor_speeds(spline.state(times)))
         true = float(np.minimum(speeds - vehicle.rotor_speed_min, vehicle.rotor_speed_max - speeds).min())
         assert float(margins.rotor_speed[lane]) == pytest.approx(true, abs=0.12 * abs(true) + 30.0)
 
