@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 OUT ?= out/demo
 # Two processes, a file each: nearly twice as fast on two cores.
-PYTEST_ARGS ?= -n 2 --dist loadfile
+PYTEST_ARGS ?= -n 2 --dist loadfile --no-loadscope-reorder
 # What runs on JAX and MJX, and the code of the docs: enough to tell whether another version of them holds.
 JAX_TESTS = $(wildcard tests/unit/test_minsnap_*.py tests/unit/test_spline*.py tests/unit/test_tracking_*.py \
     tests/unit/test_vehicle_*.py) $(addprefix tests/unit/test_, arrival.py feasibility.py knots.py policy.py \

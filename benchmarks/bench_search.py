@@ -30,6 +30,7 @@ from scipy.sparse.csgraph import dijkstra
 from jaxplan.io.targets import load_target, stored_targets
 from jaxplan.knots import KnotConfig, select_routes
 from jaxplan.precision import in_float64
+from jaxplan.prediction.protocol import PredictionConfig
 from jaxplan.search.kernels.graph import LENGTHS, STEPS
 from jaxplan.search.lattice import SearchConfig, build_lattices, choose_level
 from jaxplan.search.routes import find_routes, warmup
@@ -44,8 +45,6 @@ REFERENCE = SearchConfig(
     method="multi-resolution", resolutions=(0.1,), distance_fractions=(), first_budget=10**8, last_budget=10**8
 )
 GOALS_A_START = 100
-STEP = {"env1": 0.1, "env2": 0.2, "env3": 0.2}
-"""Seconds between predictions (interception paper, section IV)."""
 
 
 def cycles(name, world, lattices, count, rng):
@@ -53,7 +52,7 @@ def cycles(name, world, lattices, count, rng):
     names = stored_targets(name)
     while count > 0:
         target = load_target(names[rng.integers(len(names))], world=name, speed=rng.uniform(0.5, 5.5))
-        times = rng.uniform(0.0, target.duration) + STEP[name] * np.arange(1, 21)
+        times = rng.uniform(0.0, target.duration) + PredictionConfig.for_world(world).offsets
         goals = target.position(times)
         route = find_routes(lattices, world, world.start, goals[:1], 1e9)
         if route.reasons[0]:

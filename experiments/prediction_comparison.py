@@ -29,13 +29,11 @@ from jaxplan.prediction.target_model import TargetModel, shipped_model
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
 from jaxplan.runner.tables import as_latex, number
 from jaxplan.runner.tables import as_markdown as markdown_table
-from jaxplan.world.load import load_world
+from jaxplan.world.load import ENVIRONMENTS, load_world
 from jaxplan.world.obstacles import World
 
 from .figures.prediction import PredictionPanel, draw_predictions
 
-INTERVALS = {"env1": 0.1, "env2": 0.2, "env3": 0.2}
-"""Seconds between predictions (paper, Sec. IV)."""
 SPEEDS = np.linspace(0.5, 5.5, 10)
 FLIGHT_INTERVAL = 0.1
 MOMENTS = {"env1": ("env1-05", 2.5, 9.4), "env2": ("env2-07", 3.0, 17.8), "env3": ("env3-06", 3.0, 24.8)}
@@ -93,17 +91,18 @@ def rows_of(
         yield {"column": name, "predictor": kind, "windows": len(windows), **summary, "ms": float(np.median(spent))}
 
 
-def panels(world: str, dt: float) -> Iterator[PredictionPanel]:
+def panels(world: str) -> Iterator[PredictionPanel]:
     """What the predictors propose at the moment shown, for a defender where the world's defender starts."""
     name, speed, now = MOMENTS[world]
-    room, config = load_world(world), PredictionConfig(dt=dt)
+    room = load_world(world)
+    config = PredictionConfig.for_world(room)
     target = load_target(name, world=world, speed=speed)
-    times = now + dt * np.arange(1 - config.observations, 1)
+    times = now + config.dt * np.arange(1 - config.observations, 1)
     seen = Observations(times=times, positions=target.position(times))
     future = target.position(now + np.linspace(0.0, config.offsets[-1], 100))
     rejected = in_float64(jax.jit(reject_early, static_argnums=(3, 4)))
     for kind in SHOWN:
-        model = shipped_model(world, dt) if kind == "gmm" else None
+        model = shipped_model(world, config.dt) if kind == "gmm" else None
         candidates = build_predictor(kind, config, target.position, model=model, world=room)(seen, 0)
         reasons = np.asarray(rejected(candidates, room, np.asarray(room.start), PADDING, MAX_SPEED).reasons)
         title = f"{world}, {kind}: {np.count_nonzero(reasons == 0)} of {len(reasons)} usable"
@@ -155,17 +154,18 @@ class Config:
 def items(config: Config) -> list[Item]:
     """A column each: the environments and the recorded flights."""
     paths = sorted(Path(config.flights).glob("*.csv")) if config.flights else []
-    columns = [*INTERVALS, *(str(path) for path in paths if "obstacles" not in path.stem)]
+    columns = [*ENVIRONMENTS, *(str(path) for path in paths if "obstacles" not in path.stem)]
     return [Item(column, column, {"column": column}) for column in columns]
 
 
 def evaluate(config: Config, item: Item) -> Row:
     """Errors of every predictor on one column."""
     column, rng = item.values["column"], np.random.default_rng(config.seed)
-    if column in INTERVALS:
-        dt = INTERVALS[column]
+    if column in ENVIRONMENTS:
+        world = load_world(column)
+        dt = PredictionConfig.for_world(world).dt
         cut = stored_windows(column, dt, config.windows, rng)
-        return {"rows": list(rows_of(column, cut, dt, shipped_model(column, dt), load_world(column)))}
+        return {"rows": list(rows_of(column, cut, dt, shipped_model(column, dt), world))}
     path, generic = Path(column), shipped_model("generic", FLIGHT_INTERVAL)
     cut = recorded_windows(path, config.windows, rng)
     return {"rows": list(rows_of(path.stem, cut, FLIGHT_INTERVAL, generic, None))}
@@ -174,7 +174,7 @@ def evaluate(config: Config, item: Item) -> Row:
 def report(results: Results[Config]) -> Report:
     """Two tables, and the picture of what each predictor proposes."""
     rows = [line for row in results.finished_rows() for line in row["rows"]]
-    shown = [(load_world(world), list(panels(world, dt))) for world, dt in INTERVALS.items()]
+    shown = [(load_world(world), list(panels(world))) for world in ENVIRONMENTS]
     header = ["column, predictor", "ADE [m]", "FDE [m]"]
     errors = [[f"{r['column']}, {r['predictor']}", number(r["ade_m"], ".2f"), number(r["fde_m"], ".2f")] for r in rows]
     return Report(

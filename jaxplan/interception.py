@@ -15,13 +15,11 @@ from jaxplan.prediction.stream import ObservationStream
 from jaxplan.replanner import CommittedPlan, Cycle, Replanner
 from jaxplan.scenario import Scenario, build_scenario
 from jaxplan.spline import FlatState
+from jaxplan.tracking.result import SUCCESS
 from jaxplan.tracking.rollout import FlightLog
 
 INTERCEPTION_RADIUS = 0.4
 """Distance [m] that counts as an interception (paper, Sec. IV)."""
-POSITION_ERROR_LIMIT = 0.4
-YAW_ERROR_LIMIT = np.deg2rad(45.0)
-"""Tracking errors [m, rad] from which the defender counts as lost (paper, Sec. IV)."""
 
 
 @runtime_checkable
@@ -197,7 +195,7 @@ def _flight(ends: Float[np.ndarray, "n"], log: FlightLog, guide: Guide, scenario
 def _until_decided(flight: Flight, scenario: Scenario) -> tuple[Flight, str | None]:
     """The rows up to what decided the episode, and its outcome, if anything did. Failure comes before success."""
     apart = np.linalg.norm(flight.position - flight.target, axis=1)
-    tracked = (flight.position_error < POSITION_ERROR_LIMIT) & (flight.yaw_error < YAW_ERROR_LIMIT)
+    tracked = (flight.position_error < SUCCESS.position) & (flight.yaw_error < SUCCESS.yaw)
     free = flight.clearance >= np.asarray(scenario.vehicle.radius).item()
     met = (apart < INTERCEPTION_RADIUS) & (flight.times >= scenario.departure)
     decided = ~tracked | ~free | met

@@ -17,6 +17,8 @@ BANNED_ARGUMENTS = {"allow_pickle", "shell"}
 MAX_FILE_LINES = 350
 MAX_FUNCTION_LINES = 80
 """Most functions stay below 40; this is the very most."""
+ROUNDING = 1e-5
+"""Tolerances up to this are for rounding errors; larger ones for models, noise and files' digits."""
 
 
 def test_files_and_functions_are_small() -> None:
@@ -116,6 +118,22 @@ def test_shapes_of_results_are_made_of_those_of_arguments() -> None:
     assert offenders((source, text) for source in sources("jaxplan") for text in unbound_results(source)) == []
 
 
+def private_tolerances(source: Source) -> Iterator[str]:
+    """Tolerances for rounding errors written as a number, not taken from the table, without a reason beside them."""
+    lines = source.text.splitlines()
+    for node in ast.walk(source.tree):
+        if isinstance(node, ast.keyword) and node.arg in {"rtol", "atol", "rel", "abs"}:
+            value = node.value.value if isinstance(node.value, ast.Constant) else None
+            line = lines[node.lineno - 1]
+            if isinstance(value, float) and 0.0 < value <= ROUNDING and "#" not in line:
+                yield f"line {node.lineno}: {line.strip()}"
+
+
+def test_tolerances_for_rounding_come_from_the_one_table() -> None:
+    tests = sources("tests/unit", "tests/integration")
+    assert offenders((source, text) for source in tests for text in private_tolerances(source)) == []
+
+
 def written(folder: Path, text: str) -> Source:
     (folder / "bad.py").write_text(text)
     return read(folder / "bad.py", folder)
@@ -127,6 +145,11 @@ def test_the_bans_themselves(tmp_path: Path) -> None:
         "run(c, shell=True)\ntry:\n    pass\nexcept:\n    pass\nnp.load(f, allow_pickle=False)\n"
     )
     assert len(list(banned(written(tmp_path, text)))) == 6
+
+
+def test_the_rule_of_tolerances_itself(tmp_path: Path) -> None:
+    text = "close(a, rtol=1e-9)\nclose(a, atol=1e-9)  # why\nclose(a, atol=1e-3)\nclose(a, atol=1e-9 * scale)\n"
+    assert [found[:6] for found in private_tolerances(written(tmp_path, text))] == ["line 1"]
 
 
 def test_the_rules_of_types_themselves(tmp_path: Path) -> None:

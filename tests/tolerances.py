@@ -20,6 +20,12 @@ def tolerance(kind: str, dtype: object = np.float64) -> dict[str, float]:
     return {"rtol": value, "atol": value}
 
 
+def relative(kind: str, dtype: object = np.float64) -> dict[str, float]:
+    """``rel`` and ``abs`` for ``pytest.approx``, likewise."""
+    value = tolerance(kind, dtype)["rtol"]
+    return {"rel": value, "abs": value}
+
+
 def assert_close(actual: object, desired: object, kind: str, dtype: object = np.float64) -> None:
     """Assert equality within the table's tolerance."""
     np.testing.assert_allclose(np.asarray(actual), np.asarray(desired), **tolerance(kind, dtype))  # type: ignore[arg-type]

@@ -5,7 +5,7 @@ import dataclasses
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -13,19 +13,10 @@ from jaxplan.config import InterceptConfig
 from jaxplan.versions import require_supported_jax
 
 if TYPE_CHECKING:
-    from jaxplan.interception import Episode
+    from jaxplan.interception import Episode, Progress
     from jaxplan.io.output import OutputFolder
 
 EXIT_NOT_INTERCEPTED = 13
-
-
-@runtime_checkable
-class Progress(Protocol):
-    """Tells a person how far an episode is."""
-
-    def __call__(self, text: str, share: float, /) -> None:
-        """Show what is being done, and the share of the longest possible episode that is over."""
-        ...
 
 
 def intercept(
@@ -105,7 +96,7 @@ def _number(value: float | None, digits: int = 3) -> str:
 
 
 @contextlib.contextmanager
-def _progress_bar() -> Iterator[Progress]:
+def _progress_bar() -> Iterator["Progress"]:
     """A bar on stderr, where that is a terminal."""
     from tqdm import tqdm
 

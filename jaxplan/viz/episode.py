@@ -1,5 +1,6 @@
 """One episode in one picture: where it happened, which trajectories were considered, and how well it was flown."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from jaxplan.tracking.result import SUCCESS
 from jaxplan.viz.candidates import CandidateCurves, candidate_curves, illustrative_cycle
 from jaxplan.viz.scene import EDGE, FILL, draw_world
 
@@ -20,8 +22,8 @@ if TYPE_CHECKING:
 # Okabe and Ito (2008): told apart with every common colour vision; line styles differ too.
 DEFENDER, TARGET, USABLE, REJECTED, MARK = "#0072B2", "#D55E00", "#009E73", "#8a8a8a", "#F0E442"
 
-POSITION_LIMIT, YAW_LIMIT = 0.4, 45.0
-"""m and degrees; beyond either tracking counts as lost (paper, Sec. IV)."""
+POSITION_LIMIT, YAW_LIMIT = SUCCESS.position, math.degrees(SUCCESS.yaw)
+"""m and degrees; beyond either tracking counts as lost."""
 
 OUTCOMES = {
     "intercepted": "Target intercepted",

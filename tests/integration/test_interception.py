@@ -20,6 +20,7 @@ from jaxplan.scenario import build_scenario
 from jaxplan.spline import hover
 from jaxplan.status import PlanStatus
 from jaxplan.tracking.rollout import CONTROL_RATE
+from tolerances import tolerance
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +72,7 @@ def test_commanded_trajectory_never_jumps(episode):
 
 def test_flight_log_is_consistent(episode):
     flight = episode.flight
-    np.testing.assert_allclose(np.diff(flight.times), 1.0 / CONTROL_RATE, atol=1e-9)
+    np.testing.assert_allclose(np.diff(flight.times), 1.0 / CONTROL_RATE, **tolerance("formula"))
     moved = np.linalg.norm(np.diff(flight.position, axis=0), axis=1)
     speed = np.linalg.norm(flight.velocity, axis=1)
     np.testing.assert_allclose(moved * CONTROL_RATE, 0.5 * (speed[1:] + speed[:-1]), atol=0.1)
@@ -132,7 +133,7 @@ def test_a_silent_target_is_lost_and_no_stale_goal_is_chased(scenario):
     assert (cycle.status, cycle.chosen, len(replanner.plans)) == (PlanStatus.TARGET_LOST, -1, plans)
     assert cycle.rejected["target_lost"] == 20
     state = replanner.reference(np.array([60.0]))
-    np.testing.assert_allclose(state.vel, 0.0, atol=1e-6)
+    np.testing.assert_allclose(state.vel, 0.0, **tolerance("solve"))
 
 
 def test_lost_tracking_and_collision_are_told_apart(scenario):

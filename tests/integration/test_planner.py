@@ -22,6 +22,7 @@ from jaxplan.world.clearance import free_distance
 from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import Boxes, make_obstacles
 from jaxplan.world.update import update_world, with_spare_boxes
+from tolerances import relative, tolerance
 
 START = np.array([-4.3, -4.3, 1.0])
 CONFIG = PlannerConfig(width=16, knots=KnotConfig(distance_per_knot=1.0))
@@ -61,13 +62,13 @@ def test_usable_plans_keep_every_promise(planner, world, moving):
     assert len(usable) >= 3
     for index in usable:
         spline = plans.spline(index)
-        assert float(spline.duration) == pytest.approx(plans.arrival_times[index], rel=1e-9)
+        assert float(spline.duration) == pytest.approx(plans.arrival_times[index], **relative("formula"))
         assert plans.alpha[index] >= 1.0 - 2e-3
         start, end = spline.state(0.0), spline.state(float(spline.duration))
-        np.testing.assert_allclose(start.derivatives[:4], moving.derivatives[:4], atol=1e-6)
-        np.testing.assert_allclose(start.snap, moving.snap, rtol=1e-6, atol=1e-6)
-        np.testing.assert_allclose(start.yaw, moving.yaw, atol=1e-9)
-        np.testing.assert_allclose(end.pos, plans.goals[index], atol=1e-6)
+        np.testing.assert_allclose(start.derivatives[:4], moving.derivatives[:4], **tolerance("solve"))
+        np.testing.assert_allclose(start.snap, moving.snap, **tolerance("solve"))
+        np.testing.assert_allclose(start.yaw, moving.yaw, **tolerance("formula"))
+        np.testing.assert_allclose(end.pos, plans.goals[index], **tolerance("solve"))
         np.testing.assert_allclose(end.derivatives[1:], 0.0, atol=1e-4)
         points = spline.evaluate(np.linspace(0, float(spline.duration), 2000))[:, :3]
         with jax.enable_x64(True):
@@ -98,7 +99,7 @@ def test_taking_the_best_first_finds_the_winner_of_an_exhaustive_evaluation(worl
         if select(whole) >= 0:
             assert quick.score[skipped].max(initial=-np.inf) <= quick.score[select(quick)]
             best, same = quick.spline(select(quick)), whole.spline(select(whole))
-            np.testing.assert_allclose(best.position, same.position, rtol=1e-9, atol=1e-9)
+            np.testing.assert_allclose(best.position, same.position, **tolerance("formula"))
     assert winners >= 4
     assert max(rounds) > 0
 
@@ -165,7 +166,7 @@ def test_how_many_candidates_a_program_takes_changes_nothing(planner, world, mov
     both = (some.trajectory >= 0) & (all_at_once.trajectory >= 0)
     assert both.sum() > 3
     np.testing.assert_array_equal(some.reasons[both], all_at_once.reasons[both])
-    np.testing.assert_allclose(some.alpha[both], all_at_once.alpha[both], rtol=1e-9)
+    np.testing.assert_allclose(some.alpha[both], all_at_once.alpha[both], **tolerance("formula"))
 
 
 def test_a_planner_taken_to_another_world_plans_as_one_built_there(planner, world, moving):
@@ -177,7 +178,7 @@ def test_a_planner_taken_to_another_world_plans_as_one_built_there(planner, worl
     given = candidates(30)
     here, there, theirs = (some.plan_batch(moving, given) for some in (planner, moved, built))
     np.testing.assert_array_equal(there.reasons, theirs.reasons)
-    np.testing.assert_allclose(there.alpha, theirs.alpha, rtol=1e-12)
+    np.testing.assert_allclose(there.alpha, theirs.alpha, **tolerance("exact"))
     assert (here.reasons != there.reasons).any()
     before = compilations()
     again = moved.in_world(replace(crowded, name="the same under another name"))
@@ -200,7 +201,7 @@ def test_a_planner_of_a_changed_world_plans_as_one_built_there_and_compiles_noth
     built = build_planner(CONFIG, world=change.world, vehicle=load_vehicle(), policy=constant_speed_policy())
     fresh = built.plan_batch(moving, given)
     np.testing.assert_array_equal(after.reasons, fresh.reasons)
-    np.testing.assert_allclose(after.alpha, fresh.alpha, rtol=1e-12)
+    np.testing.assert_allclose(after.alpha, fresh.alpha, **tolerance("exact"))
     assert (after.reasons != before.reasons).any()
     np.testing.assert_array_equal(old.plan_batch(moving, given).reasons, before.reasons)
 
@@ -261,7 +262,7 @@ def test_committed_interception_survives_cycles_without_a_candidate(planner):
     assert cycles[0].status is PlanStatus.INTERCEPT
     assert [cycle.status for cycle in cycles[1:]] == [PlanStatus.NO_CANDIDATE] * 4
     assert len(replanner.plans) == 2
-    np.testing.assert_allclose(replanner.reference(np.array([50.0])).pos[0], goal, atol=1e-6)
+    np.testing.assert_allclose(replanner.reference(np.array([50.0])).pos[0], goal, **tolerance("solve"))
 
 
 @pytest.mark.parametrize("samples", [1, 20])

@@ -7,21 +7,22 @@ import pytest
 
 from benchmarks import bench_prediction
 from experiments.figures.prediction import draw_predictions
-from experiments.prediction_comparison import INTERVALS, as_markdown, panels, recorded_windows, rows_of, stored_windows
+from experiments.prediction_comparison import as_markdown, panels, recorded_windows, rows_of, stored_windows
 from jaxplan import interception
 from jaxplan.config import InterceptConfig
+from jaxplan.prediction.protocol import PredictionConfig
 from jaxplan.prediction.target_model import shipped_model
-from jaxplan.world.load import load_world
+from jaxplan.world.load import ENVIRONMENTS, load_world
 
 
 def compared(column, windows, dt, model, world):
     return {row["predictor"]: row for row in rows_of(column, windows, dt, model, world)}
 
 
-@pytest.mark.parametrize("world", INTERVALS)
+@pytest.mark.parametrize("world", ENVIRONMENTS)
 def test_mixtures_beat_constant_velocity_on_held_out_targets(world):
     """A final error at least 30 % smaller; the 90 % region honest, within what 150 windows can tell."""
-    dt = INTERVALS[world]
+    dt = PredictionConfig.for_world(load_world(world)).dt
     windows = stored_windows(world, dt, 150, np.random.default_rng(0))
     rows = compared(world, windows, dt, shipped_model(world, dt), load_world(world))
     assert rows["gmm"]["fde_m"] < 0.7 * rows["constant-velocity"]["fde_m"]
@@ -43,7 +44,7 @@ def test_the_table_and_the_picture(tmp_path):
     rows[0] |= {"coverage_50": None, "coverage_90": None, "ms": 0.1}
     assert "| ADE / FDE [m] | env1 (3) | ms |\n|---|---|---|\n| none | 1.00 / 2.00 | 0.10 |" in as_markdown(rows)
     assert "| none | - / - / - | 0.10 |" in as_markdown(rows)
-    shown = list(panels("env1", 0.1))
+    shown = list(panels("env1"))
     assert [len(panel.goals) for panel in shown] == [20, 20, 400, 400]
     assert all(panel.usable.any() for panel in shown)
     draw_predictions([(load_world("env1"), shown)], tmp_path / "p.png")
@@ -58,7 +59,7 @@ def test_the_benchmark_runs_and_compiles_nothing_after_the_first_call(tmp_path, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("world", INTERVALS)
+@pytest.mark.parametrize("world", ENVIRONMENTS)
 def test_the_mixture_intercepts(world):
     result = interception.run(InterceptConfig(world=world, predictor="gmm"))
     assert result.outcome == "intercepted"

@@ -44,6 +44,7 @@ from jaxplan.training.classifier import ClassifierConfig, Labelled, calibrate, t
 from jaxplan.training.scores import area_under_curve, binary_scores
 from jaxplan.vehicle.limits import least_rotor_margin, thrust_limit_margin
 from jaxplan.vehicle.load import load_vehicle
+from tolerances import relative, tolerance
 
 summary_of = jax.jit(summarise)
 predict_motion = jax.jit(Classifier.predict_motion)
@@ -96,7 +97,7 @@ def test_probability_and_expectation_against_quadrature():
         density = norm.pdf(grid, float(mean[index]), float(np.sqrt(variance[index])))
         step = grid[1] - grid[0]
         wanted = (density * norm.cdf(grid)).sum() * step
-        assert chances[index] == pytest.approx(wanted, abs=1e-5)
+        assert chances[index] == pytest.approx(wanted, **relative("exact", np.float32))
         for positive, sign in ((True, 1.0), (False, -1.0)):
             wanted = (density * norm.logcdf(sign * grid)).sum() * step
             found = jax.jit(expected_log_likelihood)(mean, variance, np.full(3, positive))[index]
@@ -109,7 +110,7 @@ def test_divergence_is_that_of_normal_distributions():
     covariance, mean = root @ root.T, np.asarray(process.mean, float)
     wanted = 0.5 * (np.trace(covariance) + mean @ mean - 5 - np.linalg.slogdet(covariance)[1])
     assert float(jax.jit(divergence)(process)) == pytest.approx(wanted, rel=1e-4)
-    assert float(jax.jit(divergence)(new_process(rbf(2), jnp.zeros((4, 2))))) == pytest.approx(0.0, abs=1e-6)
+    assert float(jax.jit(divergence)(new_process(rbf(2), jnp.zeros((4, 2))))) == pytest.approx(0.0, **relative("solve"))
 
 
 def test_with_every_datum_inducing_the_bound_approaches_the_exact_evidence():
@@ -208,7 +209,7 @@ def test_a_summary_is_extremes_and_means_and_turning_left_counts_as_turning_righ
     found, seen = np.asarray(summary_of(motion)), motion[:DURATION].copy()
     seen[YAWING] = np.abs(seen[YAWING])
     wanted = np.concatenate([seen.max(axis=1), seen.min(axis=1), seen.mean(axis=1), motion[DURATION, :1]])
-    np.testing.assert_allclose(found, wanted, atol=1e-6)
+    np.testing.assert_allclose(found, wanted, **tolerance("solve"))
     mirrored = motion.copy()
     mirrored[YAWING] *= -1.0
     np.testing.assert_array_equal(found, summary_of(mirrored))

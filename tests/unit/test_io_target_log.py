@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from jaxplan.errors import FileError, InputError
 from jaxplan.io.target_log import read_target_log, resample, target_log
+from tolerances import tolerance
 
 TIMES = np.array([10.0, 10.1, 10.2, 10.3])
 POSITIONS = np.array([[0.0, 1.0, 2.0], [0.1, 1.0, 2.0], [0.2, 1.1, 2.0], [0.3, 1.1, 2.5]])
@@ -66,8 +67,8 @@ def test_accepted_forms(tmp_path: Path, name: str) -> None:
     path = tmp_path / "flight with space.csv"
     path.write_text(GOOD[name], encoding="utf-8", newline="")
     log = read_target_log(path)
-    np.testing.assert_allclose(log.times, TIMES, atol=1e-6)
-    np.testing.assert_allclose(log.positions, POSITIONS, atol=1e-6)
+    np.testing.assert_allclose(log.times, TIMES, **tolerance("solve"))
+    np.testing.assert_allclose(log.positions, POSITIONS, **tolerance("solve"))
     assert log.report.samples == 4
     assert log.report.rate_hz == pytest.approx(10.0)
     assert log.report.warnings() == []
@@ -127,10 +128,10 @@ def test_resampling_passes_through_the_samples_and_never_overshoots() -> None:
     assert len(fine.times) == 31
     assert fine.times[0] == 10.0
     assert fine.times[-1] == pytest.approx(10.3)
-    np.testing.assert_allclose(fine.positions[::10], POSITIONS, atol=1e-9)
+    np.testing.assert_allclose(fine.positions[::10], POSITIONS, **tolerance("formula"))
     assert (fine.positions <= POSITIONS.max(axis=0) + 1e-12).all()
     assert (fine.positions >= POSITIONS.min(axis=0) - 1e-12).all()
-    np.testing.assert_allclose(resample(fine, 0.1).positions, POSITIONS, atol=1e-9)
+    np.testing.assert_allclose(resample(fine, 0.1).positions, POSITIONS, **tolerance("formula"))
 
 
 @given(st.integers(0, 2**31), st.floats(0.001, 0.5))
@@ -139,8 +140,8 @@ def test_a_straight_constant_flight_stays_one(seed: int, dt: float) -> None:
     times = 3.0 + np.cumsum(random.uniform(0.01, 0.3, 20))
     velocity = random.normal(size=3)
     again = resample(target_log(times, times[:, None] * velocity), dt)
-    np.testing.assert_allclose(again.positions, again.times[:, None] * velocity, atol=1e-9)
-    np.testing.assert_allclose(np.diff(again.times), dt, atol=1e-9)
+    np.testing.assert_allclose(again.positions, again.times[:, None] * velocity, **tolerance("formula"))
+    np.testing.assert_allclose(np.diff(again.times), dt, **tolerance("formula"))
     assert again.times[-1] <= times[-1] < again.times[-1] + dt + 1e-9
 
 

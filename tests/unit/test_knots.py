@@ -9,6 +9,7 @@ import pytest
 
 from jaxplan.errors import InputError
 from jaxplan.knots import MAX_WAYPOINTS, KnotConfig, resample, select_knots, select_routes
+from tolerances import tolerance
 
 CONFIG = KnotConfig(distance_per_knot=2.0, turning_per_knot=1.0)
 
@@ -42,15 +43,17 @@ def test_parameter_matches_the_paper_on_a_random_path():
     k = [(d + c) / 2 for d, c in zip(distance, curvature, strict=True)]
     at = np.linspace(0, k[-1], expected)
     manual = np.stack([np.interp(at, k, path[:, axis]) for axis in range(3)], axis=1)
-    np.testing.assert_allclose(waypoints[:count], manual, atol=1e-12)
-    np.testing.assert_allclose(waypoints[count:], np.repeat(path[-1:], MAX_WAYPOINTS - count, axis=0), atol=1e-12)
+    np.testing.assert_allclose(waypoints[:count], manual, **tolerance("exact"))
+    np.testing.assert_allclose(
+        waypoints[count:], np.repeat(path[-1:], MAX_WAYPOINTS - count, axis=0), **tolerance("exact")
+    )
 
 
 def test_straight_path_has_uniform_knots():
     path = np.linspace([0, 0, 0], [7.9, 0, 0], 30)
     waypoints, count = knots(path)
     assert count == 4
-    np.testing.assert_allclose(waypoints[:4, 0], np.linspace(0, 7.9, 4), atol=1e-12)
+    np.testing.assert_allclose(waypoints[:4, 0], np.linspace(0, 7.9, 4), **tolerance("exact"))
 
 
 @pytest.mark.parametrize(
@@ -67,8 +70,8 @@ def test_degenerate_paths_give_finite_waypoints(path):
     waypoints, count = knots(path)
     assert np.isfinite(waypoints).all()
     assert 2 <= count <= MAX_WAYPOINTS
-    np.testing.assert_allclose(waypoints[0], path[0], atol=1e-12)
-    np.testing.assert_allclose(waypoints[-1], path[-1], atol=1e-12)
+    np.testing.assert_allclose(waypoints[0], path[0], **tolerance("exact"))
+    np.testing.assert_allclose(waypoints[-1], path[-1], **tolerance("exact"))
 
 
 def test_long_paths_stop_at_the_longest_sequence():
@@ -82,7 +85,7 @@ def test_resampling_is_uniform_in_arc_length():
     path = np.array([[0.0, 0, 0], [1, 0, 0], [1, 3, 0], [1, 3, 0]])
     with jax.enable_x64(True):
         points = np.asarray(resample(path, 9))
-    np.testing.assert_allclose(np.linalg.norm(np.diff(points, axis=0), axis=1), 0.5, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(np.diff(points, axis=0), axis=1), 0.5, **tolerance("exact"))
 
 
 @pytest.mark.parametrize("longest", [3, 30])
@@ -97,13 +100,13 @@ def test_many_paths_are_as_each_alone_and_long_ones_are_cut(longest):
         alone = [chosen(paths[k : k + 1], shares[k : k + 1]) for k in range(3)]
         even = np.stack([jax.jit(resample, static_argnums=1)(path, config.samples) for path in paths])
     flown = np.array([2.0, 2.5, min(longest, 28.0)])
-    np.testing.assert_allclose(together.samples[:, -1, 0], flown, atol=1e-9)
-    np.testing.assert_allclose(together.knots.waypoints[:, -1, 0], flown, atol=1e-9)
+    np.testing.assert_allclose(together.samples[:, -1, 0], flown, **tolerance("formula"))
+    np.testing.assert_allclose(together.knots.waypoints[:, -1, 0], flown, **tolerance("formula"))
     assert together.whole.tolist() == [True, False, longest <= 28.0]
     for k in range(3):
         for mine, theirs in zip(jax.tree.leaves(together), jax.tree.leaves(alone[k]), strict=True):
-            np.testing.assert_allclose(mine[k], np.asarray(theirs)[0], atol=1e-12)
-    np.testing.assert_allclose(together.samples[together.whole], even[together.whole], atol=1e-12)
+            np.testing.assert_allclose(mine[k], np.asarray(theirs)[0], **tolerance("exact"))
+    np.testing.assert_allclose(together.samples[together.whole], even[together.whole], **tolerance("exact"))
 
 
 def test_configuration_is_checked():

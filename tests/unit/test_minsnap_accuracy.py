@@ -8,6 +8,7 @@ import pytest
 import jaxplan
 from jaxplan.polynomials import derivative_table
 from oracles.minsnap_dense import minimum_derivative
+from tolerances import relative, tolerance
 
 ROOMS = {"small": np.array([10.0, 10, 2]), "large": np.array([30.0, 15, 3])}
 
@@ -51,10 +52,10 @@ def largest_jump(spline, derivative):
 @pytest.mark.parametrize(("fixed_order", "terminal"), [(4, "rest"), (3, "rest"), (4, "free"), (3, "free")])
 def test_energy_positions_and_continuity_at_ordinary_durations(room, fixed_order, terminal):
     spline, cost, exact, expected = solved(fixed_order, [0.4, 2.1, 1.0], room, fixed_order, terminal)
-    assert cost == pytest.approx(expected, rel=1e-12)
-    assert energy(spline) == pytest.approx(expected, rel=1e-9)
+    assert cost == pytest.approx(expected, **relative("exact"))
+    assert energy(spline) == pytest.approx(expected, **relative("formula"))
     powers = np.linspace(0, 1, 40)[:, None] ** np.arange(10)
-    np.testing.assert_allclose(powers @ spline.position, powers @ exact, atol=1e-8)
+    np.testing.assert_allclose(powers @ spline.position, powers @ exact, **tolerance("formula"))
     for derivative in range(1, 5):
         assert largest_jump(spline, derivative) < 1e-9
 
@@ -70,8 +71,8 @@ def test_free_snap_at_the_ends_gives_degree_seven():
 @pytest.mark.parametrize("terminal", ["rest", "free"])
 def test_energy_at_extreme_durations(durations, terminal):
     spline, cost, _, expected = solved(1, durations, "large", 4, terminal)
-    assert cost == pytest.approx(expected, rel=1e-9)
-    assert energy(spline) == pytest.approx(expected, rel=1e-5)
+    assert cost == pytest.approx(expected, **relative("formula"))
+    assert energy(spline) == pytest.approx(expected, **relative("exact", np.float32))
 
 
 @pytest.mark.parametrize("gap", [1e-3, 0.0])
@@ -82,6 +83,6 @@ def test_coincident_waypoints(gap, duration):
         return points
 
     spline, cost, exact, expected = solved(2, [1.0, duration, 1.0], waypoints=close)
-    assert cost == pytest.approx(expected, rel=1e-9)
+    assert cost == pytest.approx(expected, **relative("formula"))
     powers = np.linspace(0, 1, 40)[:, None] ** np.arange(10)
-    np.testing.assert_allclose(powers @ spline.position, powers @ exact, atol=1e-7)
+    np.testing.assert_allclose(powers @ spline.position, powers @ exact, **tolerance("solve"))

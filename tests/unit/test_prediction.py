@@ -14,6 +14,7 @@ from jaxplan.prediction.target_model import shipped_model
 from jaxplan.records import replace
 from jaxplan.status import Note, Reason
 from jaxplan.world.load import load_world
+from tolerances import tolerance
 
 UNLEARNED = [name for name, kind in PREDICTORS.items() if not kind.learned]
 CONFIG = PredictionConfig(steps=6, dt=0.2, batch=500, sigma=0.05)
@@ -89,11 +90,11 @@ def test_constant_acceleration_is_exact_on_a_parabola():
     times = np.array([0.0, 0.1, 0.25, 0.3, 0.4])
     curve = lambda t: np.stack([t, 1.0 - t + 2.0 * t**2, -0.5 * t**2], axis=-1)  # noqa: E731
     candidates = predict("constant-acceleration", Observations(times=times, positions=curve(times)))
-    np.testing.assert_allclose(candidates.goals, curve(0.4 + candidates.arrival_times), atol=1e-10)
+    np.testing.assert_allclose(candidates.goals, curve(0.4 + candidates.arrival_times), **tolerance("formula"))
     for count in (1, 2):
         few = Observations(times=times[:count], positions=curve(times[:count]))
         straight = predict("constant-velocity", few)
-        np.testing.assert_allclose(predict("constant-acceleration", few).goals, straight.goals, atol=1e-12)
+        np.testing.assert_allclose(predict("constant-acceleration", few).goals, straight.goals, **tolerance("exact"))
 
 
 def test_every_predictor_gives_a_distribution():
@@ -127,7 +128,7 @@ def test_mixture_is_closer_to_a_turning_target_than_a_straight_line(mixture):
 def test_mixture_moves_with_the_target_in_open_space(mixture):
     shift = np.array([30.0, -4.0, 2.0])
     moved = Observations(times=watch().times, positions=watch().positions + shift)
-    np.testing.assert_allclose(mixture(moved, 0).goals, mixture(watch(), 0).goals + shift, atol=1e-9)
+    np.testing.assert_allclose(mixture(moved, 0).goals, mixture(watch(), 0).goals + shift, **tolerance("formula"))
 
 
 @pytest.mark.parametrize("count", range(1, 10))

@@ -14,7 +14,7 @@ from jaxplan.prediction.mixture import (
 )
 from jaxplan.prediction.target_model import shipped_model
 from oracles.mixture_conditional import conditional, mixture_log_density
-from tolerances import assert_close
+from tolerances import assert_close, tolerance
 
 REFERENCE = {"rtol": 1e-9, "atol": 1e-9}
 """What the mixture promises against an independent reference."""
@@ -76,7 +76,7 @@ def test_log_density_equals_scipy():
     for step in range(4):
         at = slice(3 * step, 3 * step + 3)
         wanted = [mixture_log_density(kept, wanted_centres[:, at], spreads[:, at, at], p) for p in places[step]]
-        np.testing.assert_allclose(found[step], wanted, rtol=1e-9)
+        np.testing.assert_allclose(found[step], wanted, **tolerance("formula"))
 
 
 def test_draws_have_the_moments_of_the_mixture():
@@ -107,7 +107,7 @@ def test_compiled_and_batched_equal_one_by_one_with_a_bad_lane():
     for lane in range(6):
         for one, all_ in zip(condition(prepared, observed[lane]), batched, strict=True):
             # another order of summation, and log-weights of -1e7 at 100 m
-            np.testing.assert_allclose(all_[lane], one, rtol=1e-10, atol=1e-9)
+            np.testing.assert_allclose(all_[lane], one, **tolerance("formula"))
     assert np.isnan(batched[0][4]).all()
     assert np.isfinite(np.delete(batched[0], 4, axis=0)).all()
 

@@ -8,6 +8,7 @@ from jaxplan.io.targets import load_target, stored_targets
 from jaxplan.prediction.gating import GateConfig
 from jaxplan.prediction.interpolation import interpolate
 from jaxplan.prediction.stream import ObservationStream, StreamConfig
+from tolerances import tolerance
 
 CONFIG = StreamConfig()
 
@@ -28,8 +29,8 @@ def feed(times, positions, config=CONFIG, now=None):
 def test_even_samples_pass_unchanged():
     times = 0.1 * np.arange(25)
     seen = feed(times, helix(times)).observe(times[-1])
-    np.testing.assert_allclose(seen.times, times[-10:], atol=1e-12)
-    np.testing.assert_allclose(seen.positions, helix(times[-10:]), atol=1e-12)
+    np.testing.assert_allclose(seen.times, times[-10:], **tolerance("exact"))
+    np.testing.assert_allclose(seen.positions, helix(times[-10:]), **tolerance("exact"))
     assert seen.age == 0.0
 
 
@@ -40,7 +41,7 @@ def test_resampled_to_the_interval_of_the_predictions(rate, dt, error):
     times = np.arange(0.0, 4.0, 1.0 / rate)
     seen = feed(times, helix(times), StreamConfig(dt=dt)).observe(times[-1])
     assert len(seen.times) == 10
-    np.testing.assert_allclose(np.diff(seen.times), dt, atol=1e-12)
+    np.testing.assert_allclose(np.diff(seen.times), dt, **tolerance("exact"))
     np.testing.assert_allclose(seen.positions, helix(seen.times), atol=error)
 
 
@@ -100,10 +101,10 @@ def test_a_real_jump_is_followed_within_four_samples(interval):
     positions = helix(times) + np.where(times[:, None] < times[30], 0.0, np.array([1.7, 0.0, 0.0]))
     stream = feed(times[:34], positions[:34])
     seen = stream.observe(times[33])
-    np.testing.assert_allclose(seen.positions[-1], positions[33], atol=1e-9)
+    np.testing.assert_allclose(seen.positions[-1], positions[33], **tolerance("formula"))
     assert seen.times[0] >= times[30] - 1e-9  # nothing from before the jump
     whole = feed(times, positions).observe(times[-1])
-    np.testing.assert_allclose(whole.positions[-1], positions[-1], atol=1e-9)
+    np.testing.assert_allclose(whole.positions[-1], positions[-1], **tolerance("formula"))
 
 
 def test_gaps_break_the_track_and_short_ones_are_bridged():
@@ -114,7 +115,7 @@ def test_gaps_break_the_track_and_short_ones_are_bridged():
     assert np.abs(seen.positions - helix(seen.times)).max() < 0.02
     long = np.delete(times, range(15, 23))
     seen = feed(long, helix(long)).observe(times[-1])
-    np.testing.assert_allclose(seen.times, times[-7:], atol=1e-9)
+    np.testing.assert_allclose(seen.times, times[-7:], **tolerance("formula"))
 
 
 def test_silence_has_an_age():
@@ -168,9 +169,9 @@ def test_interpolation_is_exact_for_parabolas_and_through_the_samples():
     coefficients = rng.standard_normal((3, 2))
     parabola = lambda t: np.stack([np.ones_like(t), t, t * t], axis=-1) @ coefficients  # noqa: E731
     at = rng.uniform(times[0], times[-1], 50)
-    np.testing.assert_allclose(interpolate(times, parabola(times), at), parabola(at), atol=1e-12)
+    np.testing.assert_allclose(interpolate(times, parabola(times), at), parabola(at), **tolerance("exact"))
     values = rng.standard_normal((9, 2))
-    np.testing.assert_allclose(interpolate(times, values, times), values, atol=1e-12)
+    np.testing.assert_allclose(interpolate(times, values, times), values, **tolerance("exact"))
 
 
 @pytest.mark.parametrize(

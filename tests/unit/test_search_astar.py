@@ -12,7 +12,7 @@ from jaxplan.search.kernels.workspace import workspace
 from oracles.search_dijkstra import STEPS as ORACLE_STEPS
 from oracles.search_dijkstra import grid_edges, number, shortest
 from oracles.search_sight import crossed_cells
-from tolerances import assert_close
+from tolerances import assert_close, tolerance
 
 
 def make_graph(occupied: np.ndarray, fine: np.ndarray | None = None, h: float = 1.0) -> Graph:
@@ -127,7 +127,7 @@ def test_costs_equal_dijkstra_on_a_thousand_maps() -> None:
         start, goals = free_points(rng, occupied, 1, 1.0)[0], free_points(rng, occupied, 4, 1.0)
         found = astar.search(make_graph(occupied), start, goals, np.ones(4, bool), 10_000)
         expected = oracle_costs(occupied, occupied, 1.0, start, goals)
-        np.testing.assert_allclose(found.cost, expected, rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(found.cost, expected, **tolerance("formula"))
 
 
 def read_maze(text: str) -> np.ndarray:

@@ -11,6 +11,7 @@ from jaxplan.status import Note, Reason
 from jaxplan.world.clearance import clearance
 from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import World, aligned_boxes, make_obstacles
+from tolerances import tolerance
 
 LEVEL_DISTANCES = [0.0, 2.5, 5.0, 9.0]
 """m; in a room of 14.3 m diagonal these select the four lattices, finest first."""
@@ -56,7 +57,7 @@ def test_paths_are_what_they_claim(env1: World, lattices: Lattices, distance: fl
     for row, count, goal, length in zip(paths.points, paths.count, goals, paths.length, strict=True):
         np.testing.assert_array_equal(row[0], env1.start)
         assert (row[count - 1 :] == goal).all()
-        np.testing.assert_allclose(np.linalg.norm(np.diff(row, axis=0), axis=1).sum(), length, rtol=1e-12)
+        np.testing.assert_allclose(np.linalg.norm(np.diff(row, axis=0), axis=1).sum(), length, **tolerance("exact"))
 
 
 @pytest.mark.parametrize("distance", LEVEL_DISTANCES)
@@ -105,7 +106,7 @@ def test_bad_goals_are_masked_and_disturb_nobody(env1: World, lattices: Lattices
     usable = paths.reasons == 0
     np.testing.assert_array_equal(usable, [True] * 2 + [False] * (len(bad) + 2) + [True] * 3)
     assert (paths.reasons[~usable] == Reason.NO_PATH).all()
-    np.testing.assert_allclose(paths.length[usable], alone.length, rtol=1e-12)
+    np.testing.assert_allclose(paths.length[usable], alone.length, **tolerance("exact"))
     assert np.isfinite(paths.points).all()
 
 
@@ -178,7 +179,7 @@ def test_order_of_goals_does_not_matter(env1: World, lattices: Lattices) -> None
     goals = free_goals(env1, lattices, 30, seed=5)
     forward = find_paths(lattices, env1, env1.start, goals, 5.0)
     backward = find_paths(lattices, env1, env1.start, goals[::-1], 5.0)
-    np.testing.assert_allclose(forward.length, backward.length[::-1], rtol=1e-12)
+    np.testing.assert_allclose(forward.length, backward.length[::-1], **tolerance("exact"))
 
 
 @pytest.mark.parametrize("seed", range(4))

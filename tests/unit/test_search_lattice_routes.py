@@ -19,6 +19,7 @@ from jaxplan.world.clearance import clearance
 from jaxplan.world.load import ENVIRONMENTS, load_world
 from jaxplan.world.obstacles import World, aligned_boxes, make_obstacles
 from oracles.search_sight import crossed_cells
+from tolerances import tolerance
 
 DISTANCES = [0.0, 2.5, 5.0, 9.0]
 LATTICES = SearchConfig(method="multi-resolution")
@@ -57,7 +58,7 @@ def test_every_goal_is_reached_through_free_cells(world: World, lattices: Lattic
     for row, count, goal, length in zip(routes.points, routes.count, goals, routes.length, strict=True):
         np.testing.assert_array_equal(row[0], world.start)
         assert (row[count - 1 :] == goal).all()
-        np.testing.assert_allclose(np.linalg.norm(np.diff(row, axis=0), axis=1).sum(), length, rtol=1e-12)
+        np.testing.assert_allclose(np.linalg.norm(np.diff(row, axis=0), axis=1).sum(), length, **tolerance("exact"))
         for a, b in itertools.pairwise(row[:count]):
             cells = crossed_cells(a, b, grid.origin, grid.resolution)
             assert not grid.occupied[tuple(cells[:-1].T)].any()

@@ -16,6 +16,7 @@ from jaxplan.status import Note, Reason
 from jaxplan.world.load import ENVIRONMENTS, load_world
 from jaxplan.world.obstacles import Capsules, Cylinders, Planes, Spheres, World, aligned_boxes, make_obstacles
 from jaxplan.world.occupancy import exact_clearance
+from tolerances import relative
 
 UNLIMITED = SearchConfig(
     method="multi-resolution", resolutions=(0.1,), distance_fractions=(), first_budget=10**8, last_budget=10**8
@@ -95,7 +96,7 @@ def test_paths_keep_the_padding_to_a_millimetre(world: World, lattices: Lattices
         for points, count, goal, length in zip(routes.points, routes.count, goals, routes.length, strict=True):
             np.testing.assert_array_equal(points[0], start)
             assert (points[count - 1 :] == goal).all()
-            assert length == pytest.approx(np.linalg.norm(np.diff(points, axis=0), axis=1).sum(), rel=1e-12)
+            assert length == pytest.approx(np.linalg.norm(np.diff(points, axis=0), axis=1).sum(), **relative("exact"))
             assert least_clearance(world, points, count) >= 0.5 - 1e-3
         bent = np.flatnonzero(routes.count > 2)
         touched = [least_clearance(world, routes.points[row], int(routes.count[row])) for row in bent]

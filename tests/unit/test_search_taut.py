@@ -16,6 +16,7 @@ from jaxplan.search.routes import find_routes
 from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import World
 from oracles.search_sight import crossed_cells
+from tolerances import tolerance
 
 CAPACITY = 256
 UNTOUCHED = 7.0
@@ -72,7 +73,7 @@ def test_never_longer_and_with_the_same_ends(world: World, lattices: Lattices, l
     goals = goals_in(lattices, 60, seed=level)
     path, taut = both(lattices, level, world.start, goals)
     assert (taut.length <= lengths(path.points) + 1e-12).all()
-    np.testing.assert_allclose(taut.length, lengths(taut.points), rtol=1e-12)
+    np.testing.assert_allclose(taut.length, lengths(taut.points), **tolerance("exact"))
     assert (taut.count <= path.count).all()
     assert taut.count.mean() < 0.6 * path.count.mean()
     np.testing.assert_array_equal(taut.points[:, 0], np.tile(world.start, (60, 1)))
@@ -144,6 +145,8 @@ def test_exactly_the_goals_in_sight_get_a_straight_line(world: World, lattices: 
     assert 10 < sum(seen) < 90
     np.testing.assert_array_equal(straight.count, np.where(wanted & seen, 2, 0))
     found = straight.count > 0
-    np.testing.assert_allclose(straight.length[found], np.linalg.norm(goals[found] - world.start, axis=1), rtol=1e-12)
+    np.testing.assert_allclose(
+        straight.length[found], np.linalg.norm(goals[found] - world.start, axis=1), **tolerance("exact")
+    )
     np.testing.assert_array_equal(straight.points[found, 1:], np.repeat(goals[found, None], CAPACITY - 1, axis=1))
     assert (straight.points[~found] == UNTOUCHED).all()

@@ -17,6 +17,7 @@ from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import World, make_obstacles
 from jaxplan.world.update import update_world, with_spare_boxes
 from jaxplan.world.voxels import distance_grid
+from tolerances import tolerance
 
 WITH_NARROW = SearchConfig(least_padding=0.3)
 
@@ -109,7 +110,7 @@ def test_cells_come_and_go(seed: int, side: float) -> None:
         moved = update_world(world, **{"occupy" if value else "free": (lower, upper)})
         world, lattices, alone = moved.world, update_lattices(lattices, moved), update_lattices(alone, moved)
         anew = distance_grid(np.asarray(world.voxels.occupied), np.zeros(3), side)
-        np.testing.assert_allclose(world.voxels.squared, anew.squared, atol=1e-12)
+        np.testing.assert_allclose(world.voxels.squared, anew.squared, **tolerance("exact"))
         for updated in (lattices, alone):
             assert_same(updated, build_lattices(world, updated.config))
     assert (np.asarray(world.voxels.occupied) != before).any()

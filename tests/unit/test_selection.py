@@ -15,6 +15,7 @@ from jaxplan.vehicle.flatness import differential_flatness
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.clearance import free_distance
 from jaxplan.world.obstacles import Cylinders, World, aligned_boxes, make_obstacles
+from tolerances import tolerance
 
 WIDTH = 24
 
@@ -145,7 +146,7 @@ def test_a_probability_decides_instead_of_the_rotor_limits(room):
     assert doubted.tolist() == [False, True, False, True, True]
     assert not (np.asarray(margins.reasons) & int(Reason.LIMITS)).any()
     assert np.isnan(np.asarray(margins.rotor_speed)).all()
-    np.testing.assert_allclose(margins.probability, chances, atol=1e-7)
+    np.testing.assert_allclose(margins.probability, chances, **tolerance("solve"))
 
 
 def test_selection_takes_the_best_usable_and_never_a_default():

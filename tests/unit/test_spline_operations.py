@@ -7,6 +7,7 @@ import pytest
 
 from jaxplan.errors import InputError
 from jaxplan.spline import PiecewisePolynomial, concatenate
+from tolerances import tolerance
 
 
 @pytest.fixture(params=[True, False], ids=["with yaw", "without yaw"])
@@ -34,7 +35,7 @@ def test_the_parts_of_a_split_are_the_whole(spline, cut):
 def test_joined_parts_are_the_whole(spline):
     joined = concatenate(spline.split(1.1))
     times = np.linspace(0.0, 2.6, 50)
-    np.testing.assert_allclose(joined.evaluate(times), spline.evaluate(times), atol=1e-12)
+    np.testing.assert_allclose(joined.evaluate(times), spline.evaluate(times), **tolerance("exact"))
 
 
 @pytest.mark.parametrize("cut", [0.0, -1.0, 2.6, 3.0, np.nan])
@@ -65,7 +66,7 @@ def test_monomials_evaluate_in_seconds(spline):
     coefficients = spline.monomials()
     times = np.array([0.1, 0.9, 0.03])
     values = np.einsum("mk,mkd->md", times[:, None] ** np.arange(10), coefficients)
-    np.testing.assert_allclose(values, spline.evaluate(np.array([0.1, 1.4, 2.53]))[:, :3], atol=1e-10)
+    np.testing.assert_allclose(values, spline.evaluate(np.array([0.1, 1.4, 2.53]))[:, :3], **tolerance("formula"))
 
 
 def test_samples_run_from_start_to_end(spline):
@@ -78,4 +79,4 @@ def test_samples_run_from_start_to_end(spline):
 def test_the_traced_operations_agree_with_numpy(spline, x64):
     traced = jax.tree.map(jnp.asarray, spline)
     for operation in (lambda s: s.bound(2), lambda s: s.monomials(), lambda s: s.sample(5)[1]):
-        np.testing.assert_allclose(jax.jit(operation)(traced), operation(spline), rtol=1e-10)
+        np.testing.assert_allclose(jax.jit(operation)(traced), operation(spline), **tolerance("formula"))

@@ -17,6 +17,7 @@ from jaxplan.vehicle.gains import IndiGains
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.mixing import allocation_matrix
 from jaxplan.vehicle.params import Vehicle
+from tolerances import relative, tolerance
 
 pytestmark = pytest.mark.usefixtures("x64")
 
@@ -53,13 +54,13 @@ def test_yaw_gives_way_before_thrust_and_thrust_before_roll(vehicle: Vehicle) ->
     commands, saturated = solve(jnp.array([0.1, -0.1, 5.0]), jnp.array(weight))
     wrench = np.asarray(allocation_matrix(vehicle)) @ np.asarray(commands) ** 2
     assert saturated
-    np.testing.assert_allclose(wrench[[0, 1, 3]], [0.1, -0.1, weight], rtol=1e-9)
+    np.testing.assert_allclose(wrench[[0, 1, 3]], [0.1, -0.1, weight], **tolerance("formula"))
     assert np.min(commands) < 1e-3  # one rotor is at its limit, so no more yaw was to be had
 
     commands, saturated = solve(jnp.array([0.5, 0.3, 0.0]), jnp.array(100.0))
     wrench = np.asarray(allocation_matrix(vehicle)) @ np.asarray(commands) ** 2
     assert saturated
-    np.testing.assert_allclose(wrench[:2], [0.5, 0.3], rtol=1e-9)
+    np.testing.assert_allclose(wrench[:2], [0.5, 0.3], **tolerance("formula"))
     assert weight < wrench[3] < 100.0
     assert np.max(commands) == pytest.approx(2200.0)
 
@@ -96,8 +97,8 @@ def test_what_gives_way_is_what_linear_programming_says(vehicle: Vehicle, positi
             assert flag
             continue
         kept += 1
-        np.testing.assert_allclose(wrench[:2], moment[:2], atol=1e-6)
-        assert abs(wrench[3] - thrust) == pytest.approx(best.fun, abs=1e-6)
+        np.testing.assert_allclose(wrench[:2], moment[:2], **tolerance("solve"))
+        assert abs(wrench[3] - thrust) == pytest.approx(best.fun, **relative("solve"))
         assert flag or best.fun < 1e-9
     assert kept > 40
 
@@ -126,7 +127,7 @@ def test_errors_of_a_hovering_vehicle_are_answered_with_the_right_sign(vehicle: 
     rest = wrench([0.0, 0.0, 0.0])
     # a pure yaw error is a rotation by yaw about z: J_z K_z yaw, within the yaw authority of the rotors
     if abs(yaw) < 1.0:
-        np.testing.assert_allclose(rest[:3], [0.0, 0.0, 0.006 * 16.41 * yaw], rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(rest[:3], [0.0, 0.0, 0.006 * 16.41 * yaw], **tolerance("solve"))
     assert np.sign(rest[2]) == np.sign(yaw)
     assert wrench([0.0, 0.0, 0.1])[3] == pytest.approx(float(vehicle.mass) * (float(vehicle.gravity) + 1.35))
     if yaw == 0.0:

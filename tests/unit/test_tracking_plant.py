@@ -25,6 +25,7 @@ from jaxplan.tracking.plant import (
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.params import Vehicle
 from oracles import plant_c_mujoco, plant_rigid_body
+from tolerances import tolerance
 
 Flight = Callable[[PlantState, np.ndarray], PlantState]
 
@@ -112,14 +113,14 @@ def test_forces_and_moments_are_those_of_newton_and_euler(name: str) -> None:
     np.testing.assert_allclose(states.body_rates[-1], end["rates"], atol=0.02 * change)
     np.testing.assert_allclose(states.vel[-1], end["vel"], atol=0.02)
     np.testing.assert_allclose(states.pos[-1], end["pos"], atol=5e-3)
-    np.testing.assert_allclose(states.rotor_speeds[-1], end["speeds"], rtol=1e-5)
+    np.testing.assert_allclose(states.rotor_speeds[-1], end["speeds"], **tolerance("exact", np.float32))
 
 
 def test_free_fall() -> None:
     vehicle = replace(load_vehicle(), drag_coefficient=0.0)
     states = open_loop(vehicle)(start(), np.zeros((400, 4)))
     k = np.arange(1, 401)
-    np.testing.assert_allclose(states.vel[:, 2], -9.81 * k * DT, rtol=1e-5)
+    np.testing.assert_allclose(states.vel[:, 2], -9.81 * k * DT, **tolerance("exact", np.float32))
     np.testing.assert_allclose(
         states.pos[:, 2], -9.81 * DT**2 * k * (k + 1) / 2, rtol=1e-4
     )  # the exact sum of the steps
@@ -132,7 +133,7 @@ def test_rotors_step_exactly_as_a_first_order_lag() -> None:
     states = open_loop(vehicle)(start(rotor_speeds=np.full(4, 500.0)), np.full((40, 4), 1500.0))
     t = np.arange(1, 41) * DT
     expected = 1500.0 - 1000.0 * np.exp(-t / vehicle.motor_time_constant)
-    np.testing.assert_allclose(states.rotor_speeds, np.tile(expected[:, None], 4), rtol=1e-5)
+    np.testing.assert_allclose(states.rotor_speeds, np.tile(expected[:, None], 4), **tolerance("exact", np.float32))
 
 
 def test_drag_slows_as_the_closed_form_says() -> None:
@@ -169,8 +170,10 @@ def test_state_on_reference_hovers_level() -> None:
     settle = float32_island(lambda state, key: state_on_reference(vehicle.astype(jnp.float32), state, key))
     state = settle(hover(np.array([1.0, 2.0, 3.0]), yaw=0.5), jax.random.key(0))
     speed = np.sqrt(vehicle.mass * vehicle.gravity / (4 * vehicle.thrust_coefficient))
-    np.testing.assert_allclose(state.rotor_speeds, np.full(4, speed), rtol=1e-5)
-    np.testing.assert_allclose(state.quat_wxyz, [np.cos(0.25), 0.0, 0.0, np.sin(0.25)], rtol=1e-5)
+    np.testing.assert_allclose(state.rotor_speeds, np.full(4, speed), **tolerance("exact", np.float32))
+    np.testing.assert_allclose(
+        state.quat_wxyz, [np.cos(0.25), 0.0, 0.0, np.sin(0.25)], **tolerance("exact", np.float32)
+    )
     fast = FlatState(derivatives=np.zeros((5, 3)), yaw=np.zeros(3))
     fast.derivatives[2, 2] = 100.0
     assert np.all(settle(fast, jax.random.key(0)).rotor_speeds == np.float32(2200.0))

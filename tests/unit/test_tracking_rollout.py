@@ -11,6 +11,7 @@ from jaxplan.tracking.plant import PlantState
 from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, Plant, build_plant
 from jaxplan.vehicle.load import load_vehicle
 from oracles import plant_references
+from tolerances import tolerance
 
 SECONDS = 10
 TIMES = np.arange(SECONDS * CONTROL_RATE + 1) / CONTROL_RATE
@@ -86,11 +87,11 @@ def test_errors_are_those_of_the_logged_state(plant: Plant) -> None:
     references = plant_references.figure_eight(TIMES, 2.0, along_heading=True)
     final, log = fly(plant, references)
     distance = np.linalg.norm(np.asarray(log.pos, dtype=np.float64) - references.pos[1:], axis=1)
-    np.testing.assert_allclose(log.position_error, distance, atol=1e-5)
+    np.testing.assert_allclose(log.position_error, distance, **tolerance("exact", np.float32))
     w, x, y, z = np.asarray(log.quat_wxyz, dtype=np.float64).T
     heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     turn = np.abs(np.angle(np.exp(1j * (heading - references.yaw[1:, 0]))))
-    np.testing.assert_allclose(log.yaw_error, turn, atol=1e-5)
+    np.testing.assert_allclose(log.yaw_error, turn, **tolerance("exact", np.float32))
     np.testing.assert_array_equal(final.pos, log.pos[-1])
     assert int(final.step) == len(TIMES) - 1
 
@@ -111,9 +112,9 @@ def test_the_same_seed_repeats_and_cutting_a_flight_in_two_changes_nothing(plant
     assert np.any(np.asarray(whole.pos) != np.asarray(other.pos))
     half, first = plant.fly(state, rows(references, 0, 21))
     end, second = plant.fly(half, rows(references, 20, 41))
-    np.testing.assert_allclose(end.pos, whole.pos, atol=1e-6)
+    np.testing.assert_allclose(end.pos, whole.pos, **tolerance("solve"))
     np.testing.assert_allclose(
-        np.concatenate([first.position_error, second.position_error]), log.position_error, atol=1e-6
+        np.concatenate([first.position_error, second.position_error]), log.position_error, **tolerance("solve")
     )
     assert int(end.step) == 40
 
@@ -143,7 +144,7 @@ def test_vmap_equals_a_loop_over_dissimilar_flights_beside_a_bad_one(plant: Plan
     _, logs = jax.vmap(plant.fly)(states, batch)
     for lane, references in enumerate(flights):
         _, log = plant.fly(plant.reset(row(references, 0), keys[lane]), references)
-        np.testing.assert_allclose(logs.pos[lane], log.pos, atol=1e-5)
+        np.testing.assert_allclose(logs.pos[lane], log.pos, **tolerance("exact", np.float32))
         np.testing.assert_allclose(logs.rotor_speeds[lane], log.rotor_speeds, atol=0.5)  # of 1e3 rad/s
     assert np.all(np.isfinite(logs.position_error[:3]))
     assert np.all(~np.isfinite(logs.position_error[3, 5:]))
@@ -171,7 +172,7 @@ def test_float32_inside_a_float64_scope_and_one_compilation_for_all_callers(
     for leaf in jax.tree.leaves((state_wide, log_wide)):
         assert leaf.dtype not in (jnp.float64, jnp.int64)
     np.testing.assert_array_equal(log_wide.pos, log_again.pos)
-    np.testing.assert_allclose(nested, log.position_error, atol=1e-6)
+    np.testing.assert_allclose(nested, log.position_error, **tolerance("solve"))
     assert compilations.count <= 2  # the casts of new slices and the nested program itself
     assert state.pos.dtype == jnp.float32
 

@@ -17,6 +17,7 @@ from jaxplan.tracking.result import SUCCESS, TRAINING, Flaw, Thresholds, Trackin
 from jaxplan.tracking.rollout import CONTROL_RATE, build_plant
 from jaxplan.tracking.track import FLIGHTS_AT_ONCE, TrackConfig, track
 from jaxplan.vehicle.load import load_vehicle
+from tolerances import tolerance
 
 
 def random_spline(rng: np.random.Generator, speed: float) -> PiecewisePolynomial:
@@ -162,8 +163,8 @@ def test_references_are_those_of_the_splines(splines: list[PiecewisePolynomial])
     sampled = references_at(padded(splines, np.array([3, 7])), times)
     for row, index in enumerate((3, 7)):
         state = splines[index].state(times)
-        np.testing.assert_allclose(sampled.derivatives[row], state.derivatives, rtol=1e-6, atol=1e-5)
-        np.testing.assert_allclose(sampled.yaw[row], state.yaw, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(sampled.derivatives[row], state.derivatives, **tolerance("exact", np.float32))
+        np.testing.assert_allclose(sampled.yaw[row], state.yaw, **tolerance("solve"))
 
 
 def test_a_start_beside_the_trajectory_is_flown_and_one_far_away_refused(splines: list[PiecewisePolynomial]) -> None:

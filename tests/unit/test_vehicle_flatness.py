@@ -16,7 +16,7 @@ from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.params import Vehicle, hover_speeds
 from jaxplan.vehicle.rotations import quat_from_rotation, rotation_from_quat, rotation_vector
 from oracles import plant_references
-from tolerances import assert_close
+from tolerances import assert_close, tolerance
 
 pytestmark = pytest.mark.usefixtures("x64")
 
@@ -64,7 +64,7 @@ def test_rates_are_the_derivatives_of_the_attitude(vehicle: Vehicle, name: str) 
     numeric_rates = (rotation.inv() * later).as_rotvec() / (2 * h)
     numeric_acc = (rates[:, 2] - rates[:, 0]) / (2 * h)
     # central differences with h = 1e-4 on quantities with third derivatives up to 1e3: h^2 * 1e3
-    np.testing.assert_allclose(rates[:, 1], numeric_rates, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(rates[:, 1], numeric_rates, **tolerance("exact", np.float32))
     np.testing.assert_allclose(
         np.asarray(out.angular_acceleration).reshape(40, 3, 3)[:, 1], numeric_acc, rtol=1e-4, atol=1e-4
     )
@@ -98,8 +98,8 @@ def test_the_rotors_of_a_layout_without_symmetry_make_the_demanded_wrench() -> N
     pull = vehicle.thrust_coefficient * squares
     yaw = vehicle.torque_coefficient * squares @ vehicle.rotor_spin
     moment = np.stack([pull @ arms[:, 1], -pull @ arms[:, 0], yaw], axis=1)
-    np.testing.assert_allclose(moment, out.moment, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(np.sum(pull, axis=1), out.thrust, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(moment, out.moment, **tolerance("formula"))
+    np.testing.assert_allclose(np.sum(pull, axis=1), out.thrust, **tolerance("formula"))
     level = differential_flatness(vehicle, states(hover(np.zeros(3))))
     assert_close(level.rotor_speeds, hover_speeds(vehicle), "solve")
 
@@ -111,7 +111,7 @@ def test_turning_the_world_turns_the_outputs(vehicle: Vehicle) -> None:
     out, out_turned = flat(vehicle, reference), flat(vehicle, turned)
     assert_close(out_turned.rotation, turn @ np.asarray(out.rotation), "formula")
     assert_close(out_turned.body_rates, out.body_rates, "solve")
-    np.testing.assert_allclose(out_turned.rotor_speeds, out.rotor_speeds, rtol=1e-7)
+    np.testing.assert_allclose(out_turned.rotor_speeds, out.rotor_speeds, **tolerance("solve"))
 
 
 def test_downward_pull_shows_as_a_negative_speed(vehicle: Vehicle) -> None:
@@ -162,7 +162,7 @@ def test_vmap_and_jit_agree_with_single_calls_beside_a_bad_lane(vehicle: Vehicle
     for lane in range(6):
         single = differential_flatness(vehicle, jax.tree.map(lambda rows, i=lane: rows[i], states(reference)))
         for name in ("quat_wxyz", "body_rates", "angular_acceleration"):
-            np.testing.assert_allclose(getattr(out, name)[lane], getattr(single, name), rtol=1e-9, atol=1e-9)
+            np.testing.assert_allclose(getattr(out, name)[lane], getattr(single, name), **tolerance("formula"))
     assert np.all(np.isnan(out.rotor_speeds[3]))
 
 

@@ -16,6 +16,7 @@ from jaxplan.vehicle.limits import (
     squared_speed_bounds,
     thrust_limit_margin,
 )
+from tolerances import tolerance
 
 
 def trajectory(seed, pace, yaw_range=1.0):
@@ -90,7 +91,7 @@ def test_the_share_of_thrust_has_the_sign_of_the_rotor_speed_and_a_slope_where_a
         squares, least, most = np.sign(speeds) * speeds**2, vehicle.rotor_speed_min**2, vehicle.rotor_speed_max**2
         wanted = np.minimum(squares - least, most - squares).min(axis=1) / (most - least)
         found, least_speed = margins_of(spline.state(times))
-        np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(found, wanted, **tolerance("formula"))
         np.testing.assert_array_equal(found >= 0.0, least_speed >= 0.0)
     falling = FlatState(derivatives=jnp.zeros((5, 3)).at[2, 2].set(-9.81), yaw=jnp.zeros(3))
     slope = jax.jit(jax.grad(lambda rise: thrust_limit_margin(vehicle, add_thrust(falling, rise))))(0.0)

@@ -12,6 +12,7 @@ from jaxplan.tracking.model import vehicle_mjcf
 from jaxplan.vehicle import params
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.mjcf import vehicle_from_mjcf
+from tolerances import tolerance
 
 MINE = """<mujoco>
   <option gravity="0 0 -9.8"/>
@@ -61,7 +62,7 @@ def test_the_generated_model_reads_back_as_the_vehicle_it_came_from(tmp_path: Pa
     vehicle = load_vehicle("flightgoggles")
     again = vehicle_from_mjcf(written(tmp_path, vehicle_mjcf(vehicle)), base=vehicle)
     for ours, theirs in zip(jax.tree.leaves(vehicle), jax.tree.leaves(again), strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-12)
+        np.testing.assert_allclose(ours, theirs, **tolerance("exact"))
 
 
 @pytest.mark.parametrize(

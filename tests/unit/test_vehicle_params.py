@@ -16,6 +16,7 @@ from jaxplan.vehicle.mixing import allocation_matrix, inverse_allocation_matrix,
 from jaxplan.vehicle.params import Vehicle, hover_speeds
 from jaxplan.vehicle.toml import list_presets
 from oracles.layouts import LAYOUTS
+from tolerances import tolerance
 
 PRESETS = Path(params.__file__).parent / "presets"
 
@@ -52,7 +53,7 @@ def test_allocation_is_the_published_frd_mixer_seen_in_flu(name: str) -> None:
     with jax.enable_x64(True):
         cast = vehicle.astype(jnp.float64)
         flu, inverse = np.asarray(allocation_matrix(cast)), np.asarray(inverse_allocation_matrix(cast))
-    np.testing.assert_allclose(flu, np.diag([1, -1, -1, -1]) @ frd, rtol=1e-12)
+    np.testing.assert_allclose(flu, np.diag([1, -1, -1, -1]) @ frd, **tolerance("exact"))
     np.testing.assert_allclose(inverse, np.linalg.inv(flu), rtol=1e-9, atol=1e-3)  # entries are 1e5 to 1e7
 
 
@@ -63,9 +64,9 @@ def test_layouts_without_symmetry_are_inverted(name: str) -> None:
     with jax.enable_x64(True):
         cast = vehicle.astype(jnp.float64)
         matrix, inverse = np.asarray(allocation_matrix(cast)), np.asarray(inverse_allocation_matrix(cast))
-    np.testing.assert_allclose(inverse @ matrix, np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(inverse @ matrix, np.eye(4), **tolerance("exact"))
     single = np.asarray(inverse_allocation_matrix(vehicle.astype(jnp.float32)))
-    np.testing.assert_allclose(single @ matrix, np.eye(4), atol=1e-5)
+    np.testing.assert_allclose(single @ matrix, np.eye(4), **tolerance("exact", np.float32))
     speeds = hover_speeds(vehicle)
     assert (np.ptp(speeds) > 10.0) == (name != "spins by sides")
     weight = vehicle.mass * vehicle.gravity

@@ -25,6 +25,7 @@ from jaxplan.world.obstacles import (
     aligned_boxes,
     make_obstacles,
 )
+from tolerances import tolerance
 
 
 def cube_mesh() -> Mesh:
@@ -155,7 +156,7 @@ def test_sampled_curves_are_the_splines() -> None:
     for lane in range(6):
         spline = cycle.plans.splines.spline(lane)
         points = spline.evaluate(np.linspace(0.0, 1.2, 5))[..., :3]
-        np.testing.assert_allclose(curves.curves[lane, :5], points, atol=1e-5)
+        np.testing.assert_allclose(curves.curves[lane, :5], points, **tolerance("exact", np.float32))
         np.testing.assert_array_equal(curves.curves[lane, 5:], np.tile(goals[lane], (5, 1)))
     np.testing.assert_array_equal(curves.chosen, curves.curves[2])
 
@@ -190,8 +191,8 @@ def test_primitives_keep_their_extent() -> None:
     heights = [1.0, 1.0, 0.5, 1.5]
     for solid, height in zip(solids(world), heights, strict=True):
         half = np.array([0.5, 0.5, height])
-        np.testing.assert_allclose(solid.max(axis=0), center[0] + half, atol=1e-9)
-        np.testing.assert_allclose(solid.min(axis=0), center[0] - half, atol=1e-9)
+        np.testing.assert_allclose(solid.max(axis=0), center[0] + half, **tolerance("formula"))
+        np.testing.assert_allclose(solid.min(axis=0), center[0] - half, **tolerance("formula"))
 
 
 def test_a_turned_box_is_turned() -> None:

@@ -25,7 +25,7 @@ from jaxplan.world.obstacles import (
 )
 from jaxplan.world.voxels import distance_grid
 from oracles import world_distance
-from tolerances import assert_close
+from tolerances import assert_close, relative, tolerance
 
 compiled = jax.jit(clearance)
 
@@ -99,7 +99,7 @@ def test_environments_equal_mujoco(name: str) -> None:
         state.mocap_pos[0] = point
         mujoco.mj_kinematics(model, state)
         theirs = min(mujoco.mj_geomDistance(model, state, model.ngeom - 1, g, 50.0, None) for g in solid) + 1e-3
-        assert value == pytest.approx(theirs, abs=1e-6)
+        assert value == pytest.approx(theirs, **relative("solve"))
 
 
 def test_points_that_are_not_finite_are_never_clear() -> None:
@@ -196,7 +196,7 @@ def test_gradient_equals_finite_differences() -> None:
     obstacles = random_obstacles(11, count=12)
     points = np.random.default_rng(12).uniform(-3.0, 3.0, (400, 3))
     gradient = np.asarray(compiled_gradient_of_points(points, obstacles))
-    agree = np.isclose(gradient, central_differences(obstacles, points, 1e-6), atol=1e-5).all(axis=1)
+    agree = np.isclose(gradient, central_differences(obstacles, points, 1e-6), **tolerance("gradient")).all(axis=1)
     assert agree.mean() > 0.99
 
 
@@ -230,10 +230,10 @@ def test_gradient_of_grids_equals_finite_differences(kind: str) -> None:
     points = points[np.asarray(compiled(obstacles, points)) > 0.02]
     assert len(points) > 300
     gradient = np.asarray(compiled_gradient_of_points(points, obstacles))
-    np.testing.assert_allclose(gradient, central_differences(obstacles, points, 1e-6), atol=1e-5)
+    np.testing.assert_allclose(gradient, central_differences(obstacles, points, 1e-6), **tolerance("gradient"))
     outside = points + np.array([0.0, 0.0, 10.0])
     gradient = np.asarray(compiled_gradient_of_points(outside, obstacles))
-    np.testing.assert_allclose(gradient, central_differences(obstacles, outside, 1e-6), atol=1e-5)
+    np.testing.assert_allclose(gradient, central_differences(obstacles, outside, 1e-6), **tolerance("gradient"))
 
 
 def tetrahedron_and_shelf() -> tuple[np.ndarray, np.ndarray]:

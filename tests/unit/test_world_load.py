@@ -8,6 +8,7 @@ import pytest
 
 from jaxplan.errors import FileError, InputError
 from jaxplan.world.load import ENVIRONMENTS, load_world
+from tolerances import tolerance
 
 PNG = b"\x89PNG\r\n\x1a\n" + bytes(200)
 ROOM = '<site name="room" type="box" pos="0 0 1" size="5 5 1"/>'
@@ -60,10 +61,10 @@ def test_mjcf_geoms_of_all_kinds(tmp_path: Path) -> None:
     world = load_world(write(tmp_path, "a room.xml", text))
     assert world.name == "a room"
     assert world.start is None
-    np.testing.assert_allclose(world.boxes.center, [[1.0, 1.0, 0.5]], atol=1e-12)
-    np.testing.assert_allclose(np.abs(world.boxes.rotation[0, :, 0]), [0, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(world.boxes.center, [[1.0, 1.0, 0.5]], **tolerance("exact"))
+    np.testing.assert_allclose(np.abs(world.boxes.rotation[0, :, 0]), [0, 1, 0], **tolerance("exact"))
     np.testing.assert_allclose(world.capsules.half_length, [1.0])
-    np.testing.assert_allclose(np.abs(world.capsules.axis), [[0, 1, 0]], atol=1e-12)
+    np.testing.assert_allclose(np.abs(world.capsules.axis), [[0, 1, 0]], **tolerance("exact"))
     np.testing.assert_allclose(world.planes.offset, [0.25])
     assert len(world.spheres.radius) == 1
 

@@ -15,6 +15,7 @@ from jaxplan.world.clearance import clearance
 from jaxplan.world.formats.point_clouds import load_pcd
 from jaxplan.world.load import load_world
 from oracles.peak_memory import peak_memory, start_peak_memory
+from tolerances import tolerance
 
 CORNERS = np.array([[x, y, z] for x in (0.0, 4.0) for y in (0.0, 3.0) for z in (0.0, 2.0)])
 QUADS = [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]]
@@ -151,7 +152,7 @@ def test_octomap_equals_its_own_library(examples: Path) -> None:
     path = examples / "maps" / "octomap_geb079.bt"
     tree, world = pyoctomap.OcTree(str(path).encode()), load_world(path)
     assert tree.size() == 532566
-    np.testing.assert_allclose(world.bounds, [tree.getMetricMin(), tree.getMetricMax()], atol=1e-6)
+    np.testing.assert_allclose(world.bounds, [tree.getMetricMin(), tree.getMetricMax()], **tolerance("solve"))
     grid, points = world.voxels, np.random.default_rng(0).uniform(*world.bounds, (4000, 3))
     for point in points:
         node = tree.search(point.tolist())
@@ -303,7 +304,7 @@ def test_mjcf_mesh_geoms_from_files_and_inline(tmp_path: Path) -> None:
     for number, asset in enumerate(scenes):
         world = load_world(write(tmp_path, f"room{number}.xml", scene_with_mesh(asset)))
         lower, upper = world.mesh.vertices.min(axis=0), world.mesh.vertices.max(axis=0)
-        np.testing.assert_allclose([lower, upper], [[-0.5, 0, 0], [1, 2, 1]], atol=1e-6)
+        np.testing.assert_allclose([lower, upper], [[-0.5, 0, 0], [1, 2, 1]], **tolerance("solve"))
         assert distance(world, np.array([2.0, 1.0, 0.5])) == pytest.approx(1.0, abs=0.02)
 
 
