@@ -14,7 +14,7 @@ from scipy.sparse import coo_array
 from jaxplan.search.components import join_components, label_components
 from jaxplan.search.kernels.graph import make_frame
 from jaxplan.search.kernels.places import REACH as PLACES_REACH
-from jaxplan.search.kernels.places import places_of
+from jaxplan.search.kernels.places import WIDE, places_of
 from jaxplan.search.kernels.roads import Box, Roads, join, touching
 from jaxplan.search.kernels.sight import HALF_DIAGONAL, Field, fill
 from jaxplan.search.kernels.solids import REACH, solids_of
@@ -35,10 +35,21 @@ class Level(NamedTuple):
     limit: float
     """[m]"""
     roads: Roads
+    """Of the level before, if there is one, and this level's own, which begin or end at one of its own places."""
+    shared: int
+    """How many places are those of the level before; they come first."""
     tiles: Int[np.ndarray, "t"]
-    """How many places each tile has; they are numbered tile by tile."""
+    """How many places of its own each tile has; they are numbered tile by tile."""
     components: Int32[np.ndarray, "nx ny nz"]
     """By cell of the finest lattice the label of its connected part; 0 where no point of the cell is free."""
+
+
+class _Changed(NamedTuple):
+    """A level after a change."""
+
+    level: Level
+    before: Int[np.ndarray, "n"]
+    """By place its number before the change, -1 where there was none."""
 
 
 class Roadmap(NamedTuple):
@@ -48,7 +59,7 @@ class Roadmap(NamedTuple):
     room: Float[np.ndarray, "2 3"]
     """Corners of the box in which paths may be [m]."""
     levels: tuple[Level, ...]
-    """The first at the padding, the others closer to obstacles."""
+    """The first at the padding, the others closer to obstacles: these know the passages that the one before has not."""
 
 
 def build_roadmap(world: World, resolution: float, limits: tuple[float, ...]) -> Roadmap:
@@ -58,7 +69,10 @@ def build_roadmap(world: World, resolution: float, limits: tuple[float, ...]) ->
     """
     field = _field(world, resolution)
     room = np.asarray(world.bounds, dtype=np.float64) + float(world.keep_in) * np.array([[1.0], [-1.0]])
-    return Roadmap(field, room, tuple(_level(field, room, limit) for limit in limits))
+    levels: list[Level] = []
+    for limit in limits:
+        levels.append(_level(field, room, limit, levels[-1] if levels else None))
+    return Roadmap(field, room, tuple(levels))
 
 
 def update_roadmap(
@@ -67,8 +81,10 @@ def update_roadmap(
     """The roadmap of a world of which only the obstacles in the box from ``lower`` to ``upper`` [m] have changed."""
     lower, upper = lower - 2.0 * roadmap.field.shortfall, upper + 2.0 * roadmap.field.shortfall
     field = _changed_field(roadmap.field, world, lower, upper)
-    levels = tuple(_changed_level(level, field, roadmap.room, lower, upper) for level in roadmap.levels)
-    return Roadmap(field, roadmap.room, levels)
+    levels: list[_Changed] = []
+    for level in roadmap.levels:
+        levels.append(_changed_level(level, field, roadmap.room, (lower, upper), levels[-1] if levels else None))
+    return Roadmap(field, roadmap.room, tuple(changed.level for changed in levels))
 
 
 def _field(world: World, resolution: float) -> Field:
@@ -104,44 +120,56 @@ def _tiles(shape: tuple[int, ...]) -> list[tuple[Int[np.ndarray, "3"], Int[np.nd
     return [(begin, np.minimum(begin + np.array([TILE, TILE, shape[2]]), shape)) for begin in corners]
 
 
-def _level(field: Field, room: Float[np.ndarray, "2 3"], limit: float) -> Level:
+def _level(field: Field, room: Float[np.ndarray, "2 3"], limit: float, wider: Level | None) -> Level:
     """Places and roads at the distance ``limit`` [m] from obstacles."""
-    parts = [places_of(tuple(field), limit, room, begin, end) for begin, end in _tiles(field.values.shape)]
-    points, normals, tiles = _numbered(parts)
-    pairs = join(tuple(field), limit, points, normals, np.ones(len(points), dtype=bool), (room[0], room[1]))
-    return Level(limit, _roads(points, normals, pairs), tiles, label_components(_open_cells(field, room, limit)))
+    parts = [_places(field, room, limit, wider, *tile) for tile in _tiles(field.values.shape)]
+    points, normals, tiles = _numbered(parts, wider)
+    shared = len(points) - int(tiles.sum())
+    pairs = join(tuple(field), limit, points, normals, np.ones(len(points), dtype=bool), shared, (room[0], room[1]))
+    labels = label_components(_open_cells(field, room, limit))
+    return Level(limit, _roads(points, normals, pairs, wider), shared, tiles, labels)
+
+
+def _places(
+    field: Field,
+    room: Float[np.ndarray, "2 3"],
+    limit: float,
+    wider: Level | None,
+    begin: Int[np.ndarray, "3"],
+    end: Int[np.ndarray, "3"],
+) -> _Places:
+    """The places of one tile; where there is a ``wider`` level, those that it has not."""
+    passages = (limit, limit + WIDE if wider is None else wider.limit)
+    return places_of(tuple(field), passages, wider is None, room, begin, end)
 
 
 def _changed_level(
-    level: Level,
-    field: Field,
-    room: Float[np.ndarray, "2 3"],
-    lower: Float[np.ndarray, "3"],
-    upper: Float[np.ndarray, "3"],
-) -> Level:
+    level: Level, field: Field, room: Float[np.ndarray, "2 3"], box: Box, wider: _Changed | None
+) -> _Changed:
     """Places and roads after a change within a box [m]: places in the tiles around, roads to them and through."""
-    limit, roads, tiles = level.limit, level.roads, level.tiles
-    around = limit + PLACES_REACH
-    begin, end = _cells(field, lower - around, upper + around)
-    first = np.concatenate([[0], np.cumsum(tiles)])
-    parts, numbers = [], []
+    limit, roads = level.limit, level.roads
+    above = None if wider is None else wider.level
+    around = PLACES_REACH + (limit if above is None else above.limit)
+    begin, end = _cells(field, box[0] - around, box[1] + around)
+    first = level.shared + np.concatenate([[0], np.cumsum(level.tiles)])
+    parts, numbers = [], [np.zeros(0, np.int64) if wider is None else wider.before]
     for tile, (low, high) in enumerate(_tiles(field.values.shape)):
         old = np.arange(first[tile], first[tile + 1])
         known = roads.points[old], roads.normals[old]
         if (low < end).all() and (begin < high).all():
-            parts.append(places_of(tuple(field), limit, room, low, high))
+            parts.append(_places(field, room, limit, above, low, high))
             numbers.append(_same(known, parts[-1], old))
         else:
             parts.append(known)
             numbers.append(old)
-    points, normals, counts = _numbered(parts)
-    before = np.concatenate([np.zeros(0, np.int64), *numbers])
-    box = lower - limit, upper + limit
-    fresh = join(tuple(field), limit, points, normals, before < 0, box)
-    pairs = np.concatenate([_untouched(roads, before, points, box), fresh])
-    near = tuple(slice(int(a), int(b)) for a, b in zip(*_cells(field, *box), strict=True))
-    labels = join_components(level.components, ~_open_cells(field, room, limit), near)
-    return Level(limit, _roads(points, normals, pairs), counts, labels)
+    points, normals, tiles = _numbered(parts, above)
+    before, shared = np.concatenate(numbers), len(points) - int(tiles.sum())
+    near = box[0] - limit, box[1] + limit
+    fresh = join(tuple(field), limit, points, normals, before < 0, shared, near)
+    pairs = np.concatenate([_untouched(level, before, points, near), fresh])
+    window = tuple(slice(int(a), int(b)) for a, b in zip(*_cells(field, *near), strict=True))
+    labels = join_components(level.components, ~_open_cells(field, room, limit), window)
+    return _Changed(Level(limit, _roads(points, normals, pairs, above), shared, tiles, labels), before)
 
 
 def _open_cells(field: Field, room: Float[np.ndarray, "2 3"], limit: float) -> Bool[np.ndarray, "nx ny nz"]:
@@ -166,31 +194,43 @@ def _same(known: _Places, found: _Places, numbers: Int[np.ndarray, "k"]) -> Int[
 
 
 def _untouched(
-    roads: Roads, before: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 3"], box: Box
+    level: Level, before: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 3"], box: Box
 ) -> Int32[np.ndarray, "e 2"]:
-    """The roads between places that were there ``before``, by their old numbers, and that do not touch the box [m]."""
+    """A level's own roads between places that were there ``before``, renumbered, that do not touch the box [m]."""
+    roads = level.roads
     now = np.full(len(roads.points), -1, np.int32)
     now[before[before >= 0]] = np.flatnonzero(before >= 0)
-    begin, end = now[np.repeat(np.arange(len(roads.points)), np.diff(roads.first))], now[roads.ends]
-    pairs = np.stack([begin, end], axis=1)[(begin >= 0) & (end >= 0) & (begin < end)]
+    starts = np.repeat(np.arange(len(roads.points)), np.diff(roads.first))
+    begin, end = now[starts], now[roads.ends]
+    kept = (begin >= 0) & (end >= 0) & (starts < roads.ends) & (roads.ends >= level.shared)
+    pairs = np.stack([begin, end], axis=1)[kept]
     return pairs[~touching(points, pairs, box)]
 
 
 def _numbered(
-    parts: list[_Places],
+    parts: list[_Places], wider: Level | None
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Int[np.ndarray, "t"]]:
-    """Positions and normals of all tiles' places, one tile after the other, and how many each has."""
-    points, normals = (np.concatenate([np.zeros((0, 3)), *(part[i] for part in parts)]) for i in range(2))
+    """Positions and normals: those of the wider level, then tile by tile; and how many each tile has."""
+    above = (np.zeros((0, 3)), np.zeros((0, 3))) if wider is None else (wider.roads.points, wider.roads.normals)
+    points, normals = (np.concatenate([above[i], *(part[i] for part in parts)]) for i in range(2))
     return points, normals, np.array([len(part[0]) for part in parts])
 
 
 def _roads(
-    points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], pairs: Int32[np.ndarray, "e 2"]
+    points: Float[np.ndarray, "n 3"],
+    normals: Float[np.ndarray, "n 3"],
+    pairs: Int32[np.ndarray, "e 2"],
+    wider: Level | None,
 ) -> Roads:
-    """Roads in both directions, in order."""
+    """Roads in both directions, in order: these and those of the wider level."""
     lengths = np.linalg.norm(points[pairs[:, 1]] - points[pairs[:, 0]], axis=1).astype(np.float32)
-    ends = np.concatenate([pairs, pairs[:, ::-1]])
-    table = coo_array((np.tile(lengths, 2), ends.T), shape=(len(points), len(points))).tocsr()
+    ends, lengths = np.concatenate([pairs, pairs[:, ::-1]]), np.tile(lengths, 2)
+    if wider is not None:
+        more = wider.roads
+        starts = np.repeat(np.arange(len(more.points), dtype=np.int32), np.diff(more.first))
+        ends = np.concatenate([ends, np.stack([starts, more.ends], axis=1)])
+        lengths = np.concatenate([lengths, more.lengths])
+    table = coo_array((lengths, ends.T), shape=(len(points), len(points))).tocsr()
     table.sort_indices()
     return Roads(points, normals, table.indptr.astype(np.int32), table.indices.astype(np.int32), table.data)
 

@@ -32,7 +32,7 @@ REACH = 0.8
 """m; the places of a tile do not depend on obstacles farther away from it than the limit and this."""
 _SHELL = 0.13
 """m; how far from the surface cells are looked at: more than a cell of the lattice."""
-_RIDGE = 0.25
+WIDE = 0.25
 """m; passages wider than twice the limit and this need no places."""
 _SLOPE = 0.6
 """Slope of the clearance below which a cell is in the middle between obstacles; in a square corner it is 0.71."""
@@ -49,7 +49,8 @@ class _Places(Protocol):
     def __call__(
         self,
         field: tuple,
-        limit: float,
+        passages: tuple,
+        surface: bool,
         lower: tuple,
         upper: tuple,
         begin: tuple,
@@ -60,18 +61,20 @@ class _Places(Protocol):
 
 def places_of(
     field: tuple,
-    limit: float,
+    passages: tuple[float, float],
+    surface: bool,
     room: Float[np.ndarray, "2 3"],
     begin: Int[np.ndarray, "3"],
     end: Int[np.ndarray, "3"],
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
     """The places of one tile: positions [m] and outward normals of the surface there, 0 in passages.
 
-    ``field`` as a plain tuple; ``limit`` [m] from obstacles; ``room``: corners [m] of where the vehicle may be; the
-    tile has the cells from ``begin`` to ``end``.
+    ``field`` as a plain tuple; ``passages``: the least and the largest distance [m] from obstacles in their middle;
+    ``surface``: whether there are also places around everything convex, at the least distance; ``room``: corners [m] of
+    where the vehicle may be; the tile has the cells from ``begin`` to ``end``.
     """
     ends = (tuple(room[0].tolist()), tuple(room[1].tolist()), tuple(begin.tolist()), tuple(end.tolist()))
-    return _compiled_places()(field, float(limit), *ends)
+    return _compiled_places()(field, (float(passages[0]), float(passages[1])), surface, *ends)
 
 
 @functools.cache
@@ -80,11 +83,12 @@ def _compiled_places() -> _Places:
 
     @entry_point
     @no_type_check
-    def entry(field, limit, lower, upper, begin, end):
+    def entry(field, passages, surface, lower, upper, begin, end):
         _ = version
+        limit = passages[0]
         count = max((end[0] - begin[0]) * (end[1] - begin[1]) * (end[2] - begin[2]), 0)
         shell, normals, ridge = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3))
-        on_shell, on_ridge = _look(field, limit, lower, upper, begin, end, shell, normals, ridge)
+        on_shell, on_ridge = _look(field, passages, surface, lower, upper, begin, end, shell, normals, ridge)
         chosen = np.empty(on_shell + on_ridge, np.int64)
         far = np.empty(on_shell + on_ridge)
         bends = _spread(shell, normals, on_shell, SPAN, chosen, far)
@@ -104,16 +108,17 @@ def _compiled_places() -> _Places:
 
 @inner
 @no_type_check
-def _look(field, limit, lower, upper, begin, end, shell, normals, ridge):
+def _look(field, passages, surface, lower, upper, begin, end, shell, normals, ridge):
     """Cells near a convex surface, with its normals, and cells in the middle of passages."""
     values, frame, _, solids = field
+    limit, widest = passages
     _, _, _, ox, oy, oz, h = frame
     on_shell = on_ridge = 0
     for i in range(begin[0], end[0]):
         for j in range(begin[1], end[1]):
             for m in range(begin[2], end[2]):
                 value = values[i, j, m]
-                if not limit - 0.87 * h <= value <= limit + _RIDGE:  # a free point's cell may have a centre that is not
+                if not limit - 0.87 * h <= value <= widest:  # a free point's cell may have a centre that is not
                     continue
                 x, y, z = ox + (i + 0.5) * h, oy + (j + 0.5) * h, oz + (m + 0.5) * h
                 if not _inside(x, y, z, lower, upper):
@@ -123,7 +128,7 @@ def _look(field, limit, lower, upper, begin, end, shell, normals, ridge):
                 if steep < _SLOPE:
                     ridge[on_ridge, 0], ridge[on_ridge, 1], ridge[on_ridge, 2] = x, y, z
                     on_ridge += 1
-                elif limit <= value <= limit + _SHELL:
+                elif surface and limit <= value <= limit + _SHELL:
                     gx, gy, gz = gx / steep, gy / steep, gz / steep
                     if _bulge(solids, x, y, z, gx, gy, gz) >= _BULGE:
                         shell[on_shell, 0], shell[on_shell, 1], shell[on_shell, 2] = x, y, z

@@ -19,6 +19,10 @@ TANGENT = 0.45
 apart, and off the surface."""
 
 
+GROUP = 16
+"""Places that are looked at together, to see whether roads from them can touch a box (arbitrary)."""
+
+
 class Roads(NamedTuple):
     """Places and the roads between them; compiled code takes a plain tuple."""
 
@@ -49,6 +53,7 @@ class _Join(Protocol):
         points: Float[np.ndarray, "n 3"],
         normals: Float[np.ndarray, "n 3"],
         fresh: Bool[np.ndarray, "n"],
+        own: int,
         lower: tuple,
         upper: tuple,
     ) -> Int32[np.ndarray, "e 2"]:
@@ -61,11 +66,15 @@ def join(
     points: Float[np.ndarray, "n 3"],
     normals: Float[np.ndarray, "n 3"],
     fresh: Bool[np.ndarray, "n"],
+    own: int,
     box: Box,
 ) -> Int32[np.ndarray, "e 2"]:
-    """Pairs of places that a road joins, the lower number first; where one is ``fresh`` or the road touches a box."""
+    """Pairs of places that a road joins, the lower number first; where one is ``fresh`` or the road touches a box.
+
+    The other number is at least ``own``.
+    """
     corners = tuple(box[0].tolist()), tuple(box[1].tolist())
-    return _compiled_join()(field, float(limit), points, normals, fresh, *corners)
+    return _compiled_join()(field, float(limit), points, normals, fresh, own, *corners)
 
 
 def touching(points: Float[np.ndarray, "n 3"], pairs: Int32[np.ndarray, "e 2"], box: Box) -> Bool[np.ndarray, "e"]:
@@ -81,24 +90,33 @@ def _compiled_join() -> _Join:
 
     @entry_point
     @no_type_check
-    def entry(field, limit, points, normals, fresh, lower, upper):
+    def entry(field, limit, points, normals, fresh, own, lower, upper):
         _ = version
+        n = len(points)
+        groups = -(-n // GROUP)
+        middles, radii, some_fresh = np.zeros((groups, 3)), np.zeros(groups), np.zeros(groups, np.bool_)
+        _group(points, fresh, middles, radii, some_fresh)
         pairs = np.empty((1024, 2), np.int32)
         total = 0
-        for u in range(len(points)):
-            a = at(points, u)
-            for v in range(u + 1, len(points)):
-                b = at(points, v)
-                if not (fresh[u] or fresh[v] or _touches(a, b, lower, upper)):
+        for g in range(len(radii)):
+            for h in range(max(g, own // GROUP), len(radii)):
+                far = max(radii[g], radii[h])
+                if not (some_fresh[g] or some_fresh[h] or _touches(at(middles, g), at(middles, h), lower, upper, far)):
                     continue
-                if not _joined(field, limit, normals, u, v, a, b):
-                    continue
-                if total == len(pairs):
-                    wider = np.empty((2 * total, 2), np.int32)
-                    wider[:total] = pairs
-                    pairs = wider
-                pairs[total, 0], pairs[total, 1] = u, v
-                total += 1
+                for u in range(g * GROUP, min((g + 1) * GROUP, n)):
+                    a = at(points, u)
+                    for v in range(max(u + 1, max(own, h * GROUP)), min((h + 1) * GROUP, n)):
+                        b = at(points, v)
+                        if not (fresh[u] or fresh[v] or _touches(a, b, lower, upper, 0.0)):
+                            continue
+                        if not _joined(field, limit, normals, u, v, a, b):
+                            continue
+                        if total == len(pairs):
+                            wider = np.empty((2 * total, 2), np.int32)
+                            wider[:total] = pairs
+                            pairs = wider
+                        pairs[total, 0], pairs[total, 1] = u, v
+                        total += 1
         return pairs[:total].copy()
 
     return entry  # type: ignore[no-any-return]
@@ -128,7 +146,7 @@ def _compiled_touching() -> _Touching:
     def entry(points, pairs, lower, upper, found):
         _ = version
         for e in range(len(pairs)):
-            found[e] = _touches(at(points, pairs[e, 0]), at(points, pairs[e, 1]), lower, upper)
+            found[e] = _touches(at(points, pairs[e, 0]), at(points, pairs[e, 1]), lower, upper, 0.0)
 
     return entry  # type: ignore[no-any-return]
 
@@ -153,15 +171,29 @@ def along_surface(normals, u, a, b, most):
 
 @inner
 @no_type_check
-def _touches(a, b, lower, upper):
-    """Whether the segment a-b [m] touches a box."""
+def _group(points, fresh, middles, radii, some):
+    """Write middles and radii [m] of groups of neighbouring places, and whether one of a group is fresh."""
+    for g in range(len(radii)):
+        begin, end = g * GROUP, min((g + 1) * GROUP, len(points))
+        for u in range(begin, end):
+            for axis in range(3):
+                middles[g, axis] += points[u, axis] / (end - begin)
+            some[g] = some[g] or fresh[u]
+        for u in range(begin, end):
+            radii[g] = max(radii[g], distance(at(middles, g), at(points, u)))
+
+
+@inner
+@no_type_check
+def _touches(a, b, lower, upper, around):
+    """Whether the segment a-b touches a box, or comes so close [m] to its faces."""
     begin, end = 0.0, 1.0
     for axis in range(3):
         step = b[axis] - a[axis]
         if abs(step) < 1e-12:
-            if not lower[axis] <= a[axis] <= upper[axis]:
+            if not lower[axis] - around <= a[axis] <= upper[axis] + around:
                 return False
         else:
-            low, high = (lower[axis] - a[axis]) / step, (upper[axis] - a[axis]) / step
+            low, high = (lower[axis] - around - a[axis]) / step, (upper[axis] + around - a[axis]) / step
             begin, end = max(begin, min(low, high)), min(end, max(low, high))
     return begin <= end
