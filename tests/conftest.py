@@ -16,6 +16,9 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # what one process compiled n
     _COMPILED = tempfile.TemporaryDirectory(prefix="jaxplan-compiled-")
     os.environ["JAX_COMPILATION_CACHE_DIR"] = _COMPILED.name
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+if "JAXPLAN_CACHE_DIR" not in os.environ:  # nor is any roadmap made twice, or left behind
+    _STORED = tempfile.TemporaryDirectory(prefix="jaxplan-stored-")
+    os.environ["JAXPLAN_CACHE_DIR"] = _STORED.name
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 import jax

@@ -14,7 +14,8 @@ from jaxplan.errors import InputError
 from jaxplan.records import record, static
 from jaxplan.search.components import label_components
 from jaxplan.search.kernels.graph import Frame, Graph, make_frame, permitted_moves
-from jaxplan.search.roadmap import Roadmap, build_roadmap
+from jaxplan.search.roadmap import Roadmap
+from jaxplan.search.store import load_roadmap
 from jaxplan.validation import require_at_least, require_one_of
 from jaxplan.world.obstacles import World
 from jaxplan.world.occupancy import (
@@ -43,8 +44,7 @@ class SearchConfig:
     least_padding: float | None = None
     """Distance [m] that a roadmap's paths keep where no path keeps the padding; None: there are no such paths."""
     node_budget: int = 2_000_000
-    """Cells settled at most per search of ``find_paths``, and of ``find_routes`` for goals that no road leads to
-    (arbitrary: about half a second)."""
+    """Cells settled at most per search of ``find_paths`` (arbitrary: about half a second)."""
     first_budget: int = 6_000
     """Cells that ``find_routes`` settles on a lattice before it turns to the next coarser one (measured: 2 ms)."""
     last_budget: int = 30_000
@@ -118,7 +118,7 @@ def build_lattices(world: World, config: SearchConfig | None = None) -> Lattices
     roadmap, padded = None, None
     if config.method == "roadmap":
         limits = (config.padding,) if config.least_padding is None else (config.padding, config.least_padding)
-        roadmap = build_roadmap(world, config.resolutions[0], limits)
+        roadmap = load_roadmap(world, config.resolutions[0], limits)
         padded = roadmap.field.values < config.padding
     grids = occupancy_lattices(world, config.resolutions, config.padding, padded)
     return Lattices(levels=tuple(_search_lattice(grid) for grid in grids), roadmap=roadmap, config=config)

@@ -67,8 +67,8 @@ def build_roadmap(world: World, resolution: float, limits: tuple[float, ...]) ->
 
     Places are looked for, and clearances known, on cells of side ``resolution`` [m].
     """
-    field = _field(world, resolution)
-    room = np.asarray(world.bounds, dtype=np.float64) + float(world.keep_in) * np.array([[1.0], [-1.0]])
+    field, room = field_of(world, resolution), corners_of(world)
+    fill(field.values, field.frame, field.solids, np.zeros(3, np.int64), np.array(field.values.shape))
     levels: list[Level] = []
     for limit in limits:
         levels.append(_level(field, room, limit, levels[-1] if levels else None))
@@ -87,12 +87,16 @@ def update_roadmap(
     return Roadmap(field, roadmap.room, tuple(changed.level for changed in levels))
 
 
-def _field(world: World, resolution: float) -> Field:
-    """Clearances at the centres of cells of side ``resolution`` [m]."""
+def corners_of(world: World) -> Float[np.ndarray, "2 3"]:
+    """Corners [m] of the box in which paths may be."""
+    return np.asarray(world.bounds, dtype=np.float64) + float(world.keep_in) * np.array([[1.0], [-1.0]])
+
+
+def field_of(world: World, resolution: float) -> Field:
+    """Cells of side ``resolution`` [m], whose clearances are not yet known."""
     shape = finest_shape(world, resolution)
     frame = tuple(make_frame(shape, np.asarray(world.bounds, dtype=np.float64)[0], resolution))
     solids, values = tuple(solids_of(world)), np.empty(shape, np.float32)
-    fill(values, frame, solids, np.zeros(3, np.int64), np.array(shape))
     sides = [float(grid.spacing) for grid in (world.mesh, world.voxels) if grid is not None]
     return Field(values, frame, HALF_DIAGONAL * max(sides, default=0.0), solids)
 

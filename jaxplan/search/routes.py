@@ -3,8 +3,8 @@
 1. The roadmap gives the path to every goal that the start or a place on its roads sees: near the shortest there is, at
    the padding from all obstacles.
 2. Where the start or a goal sees roads only from above, as in a niche, those may be entered at any angle.
-3. Where no road leads, the roadmap closer to obstacles is asked, if there is one, and then the finest lattice. Such
-   paths may come closer to obstacles than the padding, and then say so.
+3. Where no road leads, the roadmap closer to obstacles is asked, if there is one, and then the finest lattice, as long
+   as it takes: what is connected is found. Such paths may come closer to obstacles than the padding, and then say so.
 
 With the method "multi-resolution" lattices are searched instead (``jaxplan.search.lattice_routes``).
 """
@@ -75,9 +75,8 @@ def _search_roads(lattices: Lattices, roadmap: Roadmap, request: Request) -> int
             if wanted.any():
                 settled += _follow_roads(roadmap, number, tangent, request, wanted)
     if request.open.any():
-        budget = lattices.config.node_budget
         left = request.open.copy()
-        settled += search_lattice(lattices, 0, budget, request)
+        settled += search_lattice(lattices, 0, lattices.levels[0].grid.occupied.size, request)
         _mark_close(lattices, roadmap, request, left & ~request.open)
     return settled
 

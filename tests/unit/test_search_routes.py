@@ -3,6 +3,7 @@
 import concurrent.futures
 import itertools
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -163,11 +164,9 @@ def test_unusable_configurations_are_refused(change: dict) -> None:
         SearchConfig(**change)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_every_goal_in_the_starts_part_of_a_random_room_is_reached(seed: int) -> None:
-    """Boxes, pillars, spheres and capsules at any angle; the finest lattice tells what is connected."""
+def random_room(seed: int, count: int) -> World:
+    """``count`` boxes, pillars, spheres and capsules each, at any angle."""
     rng = np.random.default_rng(seed)
-    count = 12 + 6 * seed
     axes = rng.standard_normal((count, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     upright = np.tile([[0.0, 0.0, 1.0]], (count, 1))
@@ -186,7 +185,13 @@ def test_every_goal_in_the_starts_part_of_a_random_room_is_reached(seed: int) ->
         planes=Planes(normal=np.array([[0.0, 0.0, 1.0]]), offset=np.array([-0.2])),
     )
     bounds = np.array([[0.0, 0.0, 0.0], [14.0, 10.0, 3.0]])
-    world = World(name="random", bounds=bounds, obstacles=obstacles, keep_in=0.2)
+    return World(name="random", bounds=bounds, obstacles=obstacles, keep_in=0.2)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_every_goal_in_the_starts_part_of_a_random_room_is_reached(seed: int) -> None:
+    """The finest lattice tells what is connected."""
+    world = random_room(seed, 12 + 6 * seed)
     lattices, reference = build_lattices(world), build_lattices(world, UNLIMITED)
     for start in free_points(world, 4, seed=seed):
         goals = free_points(world, 100, seed=seed + 10)
@@ -194,6 +199,34 @@ def test_every_goal_in_the_starts_part_of_a_random_room_is_reached(seed: int) ->
         assert (ours.reasons[best.reasons == 0] == 0).all()
         for row in np.flatnonzero((ours.reasons == 0) & (ours.notes == 0))[:40]:
             assert least_clearance(world, ours.points[row], int(ours.count[row])) >= 0.5 - 1e-3
+
+
+@pytest.mark.slow
+def test_no_reachable_goal_is_missed(examples: Path) -> None:
+    """More than 20,000 goals in the stored rooms, in maps of others and in random rooms of 5 to 35 % clutter."""
+    maps = [
+        examples / "maps" / name for name in ("rotorpy_grid_forest.json", "rotorpy_double_pillar.json", "kr_skir.stl")
+    ]
+    worlds = [*(load_world(name) for name in (*ENVIRONMENTS, *maps)), *(random_room(k, 6 + 2 * k) for k in range(20))]
+    clutter, reachable, missed = [], 0, 0
+    for world in worlds:
+        lattices = build_lattices(world)
+        grid, labels = lattices.levels[0].grid, lattices.levels[0].components
+        clutter.append(float(grid.near_obstacle.mean()))
+        free = np.argwhere(~grid.occupied)
+        rng = np.random.default_rng(5)
+        for _ in range(5):
+            cells = free[rng.integers(len(free), size=301)]
+            parts = labels[np.ravel_multi_index(tuple(cells.T), grid.shape)]
+            points = grid.origin + (cells + 0.5) * grid.resolution
+            found = find_routes(lattices, world, points[0], points[1:], 1.0, capacity=64)
+            same = parts[1:] == parts[0]
+            reachable += int(same.sum())
+            missed += int((found.count[same] == 0).sum())
+    assert reachable > 20_000
+    assert missed == 0
+    assert min(clutter) < 0.1
+    assert max(clutter) > 0.3
 
 
 def test_bad_goals_are_masked_and_disturb_nobody(world: World, lattices: Lattices) -> None:
