@@ -4,7 +4,12 @@ A time allocation pi(p, D) gives the least durations for waypoints p from the in
 alpha it becomes alpha * pi(p, alpha D), where alpha D scales the k-th derivative by alpha^k: the same path, flown
 alpha times as slowly. The arrival time T_goal is met at the root of
 
-    f(x) = x + log sum pi(p, e^x D) - log T_goal,        x = log alpha.
+    f(x) = x + log sum pi(p, e^x D) - log T_goal,        x = log alpha,
+
+where the sum goes up to the waypoint at which the target is met. What follows behind it ends at rest.
+
+The paper takes alpha >= 1. What a policy allots is not the least that can be flown, from flight least of all: the
+search may begin at a smaller ``least_alpha``, where something else decides what can be flown.
 
 The paper iterates x <- x - f(x), which oscillates or diverges when pi shrinks as fast as alpha grows. Here the
 same first step is followed by a secant safeguarded by a bracket, for all candidates in one ``lax.while_loop``.
@@ -35,6 +40,8 @@ class Decode(Protocol):
 class ArrivalConfig:
     """Stopping rule of the alpha iteration."""
 
+    least_alpha: float = 1.0
+    """Smallest scale factor that is looked at (the paper's: 1)."""
     tolerance: float = 1e-3
     """Largest relative error of the arrival time."""
     max_calls: int = 16
@@ -42,6 +49,7 @@ class ArrivalConfig:
 
     def __post_init__(self) -> None:
         require_between("arrival", self, 0, 1, "tolerance")
+        require_within("arrival", self, 0.1, 1, "least_alpha")
         require_within("arrival", self, 2, 1000, "max_calls")
 
 
@@ -49,11 +57,11 @@ class Arrival(NamedTuple):
     """Time allocations that arrive at T_goal, one lane per candidate."""
 
     durations: Float[Array, "m k"]
-    """Seconds per segment, summing to T_goal exactly where converged."""
+    """Seconds per segment, summing to T_goal exactly up to the meeting where converged."""
     alpha: Float[Array, "k"]
-    """Scale factor; >= 1 means that the candidate is reachable. Below 1 it is only T_goal / least_time."""
+    """Scale factor; at least the least one where the candidate is reachable, else in proportion to T_goal."""
     least_durations: Float[Array, "m k"]
-    """Seconds per segment at alpha = 1."""
+    """Seconds per segment at the least alpha."""
     reasons: UInt32[Array, "k"]
     """ALPHA_LT_1 or ALPHA_NOT_CONVERGED; 0 where the arrival time is met."""
     calls: Int[Array, "k"]
@@ -75,18 +83,28 @@ class _Search(NamedTuple):
 
 
 def match_arrival(
-    decode: Decode, initial: FlatState | FlatStateBatch, arrival_times: Float[Array, "k"], config: ArrivalConfig
+    decode: Decode,
+    initial: FlatState | FlatStateBatch,
+    arrival_times: Float[Array, "k"],
+    config: ArrivalConfig,
+    meet: Int[Array, "k"] | None = None,
+    least_alpha: Float[Array, "k"] | None = None,
 ) -> Arrival:
-    """Find alpha for every candidate; candidates that need alpha < 1 are done after the first call.
+    """Find alpha for every candidate; candidates that need less than the least one are done after the first call.
 
     Args:
+        decode: the time allocation.
+        initial: one state for all candidates, or one for each.
         arrival_times: T_goal of every candidate [s from the initial state].
+        config: when to stop.
+        meet: number of the waypoint at which each target is met; the last one when omitted.
+        least_alpha: of each candidate, instead of the configuration's.
     """
     log_goal = jnp.log(arrival_times)
 
     def allocate(x: Float[Array, "k"]) -> tuple[Float[Array, "m k"], Float[Array, "k"]]:
         durations = decode(sped_up(initial, jnp.exp(x)))
-        return durations, x + jnp.log(jnp.sum(durations, axis=0)) - log_goal
+        return durations, x + jnp.log(time_to(durations, meet)) - log_goal
 
     def unfinished(search: _Search) -> Bool[Array, ""]:
         return (search.trips < config.max_calls) & jnp.any(_active(search, config))
@@ -97,17 +115,25 @@ def match_arrival(
         durations, f = allocate(x)
         return _keep(active, search, _narrow(search, x, f, durations))
 
-    zero = jnp.zeros_like(arrival_times)
-    least, f = allocate(zero)
-    nan, once = jnp.full_like(zero, jnp.nan), jnp.ones(zero.shape, jnp.int32)
-    start = _Search(zero, f, least, zero, f, nan, nan, once, jnp.int32(1))
+    first = jnp.full_like(arrival_times, jnp.log(config.least_alpha)) if least_alpha is None else jnp.log(least_alpha)
+    least, f = allocate(first)
+    nan, once = jnp.full_like(first, jnp.nan), jnp.ones(first.shape, jnp.int32)
+    start = _Search(first, f, least, first, f, nan, nan, once, jnp.int32(1))
     end = jax.lax.while_loop(unfinished, step, start)
     reachable = f <= config.tolerance
     met = jnp.abs(end.f) <= config.tolerance
-    alpha = jnp.where(reachable, jnp.exp(end.x), jnp.exp(-f))
+    alpha = jnp.where(reachable, jnp.exp(end.x), jnp.exp(first - f))
     exact = end.durations * jnp.exp(end.x)[None] * jnp.exp(-end.f)[None]
     reasons = bit(~reachable, Reason.ALPHA_LT_1) | bit(reachable & ~met, Reason.ALPHA_NOT_CONVERGED)
-    return Arrival(jnp.where(met[None], exact, end.durations), alpha, least, reasons, end.calls)
+    return Arrival(jnp.where(met[None], exact, end.durations), alpha, least * jnp.exp(first)[None], reasons, end.calls)
+
+
+def time_to(durations: Float[Array, "m k"], meet: Int[Array, "k"] | None) -> Float[Array, "k"]:
+    """Seconds from the start to waypoint number ``meet`` of each sequence; to the last one when omitted."""
+    if meet is None:
+        return jnp.sum(durations, axis=0)
+    before = jnp.arange(durations.shape[0], dtype=meet.dtype)[:, None] < meet[None]
+    return jnp.sum(jnp.where(before, durations, 0.0), axis=0)
 
 
 def sped_up(initial: FlatState | FlatStateBatch, alpha: Float[Array, "k"]) -> FlatStateBatch:

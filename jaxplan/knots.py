@@ -58,31 +58,53 @@ class SelectedRoutes:
     """The same parts of the paths at uniform arc length [m, world]."""
     whole: Bool[Array, "k"]
     """False where only a beginning of the path is left."""
+    meet: Int[Array, "k"]
+    """Number of the waypoint at the goal: the last one but where there is a stop point behind it."""
 
 
 def select_routes(
-    paths: Float[AnyArray, "k l 3"], config: KnotConfig, shares: Float[AnyArray, "k"] | float = 1.0
+    paths: Float[AnyArray, "k l 3"],
+    config: KnotConfig,
+    shares: Float[AnyArray, "k"] | float = 1.0,
+    stops: Float[AnyArray, "k 3"] | None = None,
 ) -> SelectedRoutes:
-    """Waypoints and samples of the first ``shares`` of searched paths [m] whose unused points repeat their last one."""
+    """Waypoints and samples of the first ``shares`` of searched paths [m] whose unused points repeat their last one.
+
+    Args:
+        paths: k paths of up to l points.
+        config: how densely waypoints are set.
+        shares: of each path.
+        stops: where each sequence goes on to behind its goal [m]; nowhere where that is the goal. A path of which only
+            a beginning is left goes nowhere either.
+    """
     sample = jax.vmap(lambda path, share: resample(path, config.samples, share))
     whole = sample(paths, jnp.ones(len(paths), paths.dtype))
     along = jax.vmap(_parameters)(whole)
-    shares = jnp.minimum(MAX_WAYPOINTS / jax.vmap(lambda one: _wanted(one, config))(along), shares)
+    most = MAX_WAYPOINTS if stops is None else MAX_WAYPOINTS - 1
+    shares = jnp.minimum(most / jax.vmap(lambda one: _wanted(one, config))(along), shares)
 
     def cut() -> tuple[Knots, Array]:
         samples = sample(paths, shares)
-        return jax.vmap(lambda path: select_knots(path, config))(samples), samples
+        return jax.vmap(lambda path: _place(path, _parameters(path), config, most))(samples), samples
 
     def keep() -> tuple[Knots, Array]:
-        return jax.vmap(lambda path, along: _place(path, along, config))(whole, along), whole
+        return jax.vmap(lambda path, along: _place(path, along, config, most))(whole, along), whole
 
     knots, samples = jax.lax.cond(jnp.any(shares < 1.0), cut, keep)
-    return SelectedRoutes(knots=knots, samples=samples, whole=shares >= 1.0)
+    meet = knots.count - 1
+    if stops is not None:
+        passing = (shares >= 1.0) & jnp.any(jnp.asarray(stops) != paths[:, -1], axis=1)
+        longer = sample(
+            jnp.concatenate([paths, jnp.asarray(stops)[:, None]], axis=1), jnp.ones(len(paths), paths.dtype)
+        )
+        samples = jnp.where(passing[:, None, None], longer, samples)
+        knots = _with_stops(knots, jnp.asarray(stops), passing)
+    return SelectedRoutes(knots=knots, samples=samples, whole=shares >= 1.0, meet=meet)
 
 
 def select_knots(path: Float[AnyArray, "l 3"], config: KnotConfig) -> Knots:
     """At most ``MAX_WAYPOINTS`` waypoints along one whole path [m] whose unused points repeat their last one."""
-    return _place(path, _parameters(path), config)
+    return _place(path, _parameters(path), config, MAX_WAYPOINTS)
 
 
 def resample(
@@ -113,13 +135,21 @@ class _Along(NamedTuple):
     """k_c [rad]."""
 
 
-def _place(path: Float[AnyArray, "l 3"], along: _Along, config: KnotConfig) -> Knots:
-    """The waypoints, uniform in k."""
-    count = jnp.clip(jnp.ceil(_wanted(along, config)), 2, MAX_WAYPOINTS)
+def _place(path: Float[AnyArray, "l 3"], along: _Along, config: KnotConfig, most: int) -> Knots:
+    """The waypoints, uniform in k, at most so many."""
+    count = jnp.clip(jnp.ceil(_wanted(along, config)), 2, most)
     parameter = 0.5 * (along.distance + along.turning)
     share = jnp.minimum(jnp.arange(MAX_WAYPOINTS, dtype=count.dtype) / (count - 1.0), 1.0)
     waypoints = interpolate_along(jnp.asarray(path), parameter, share * parameter[-1])
     return Knots(waypoints=waypoints, count=count.astype(jnp.int32))
+
+
+def _with_stops(knots: Knots, stops: Float[Array, "k 3"], passing: Bool[Array, "k"]) -> Knots:
+    """One more waypoint behind the goals of the sequences that pass them."""
+    behind = jnp.arange(MAX_WAYPOINTS, dtype=knots.count.dtype)[None] >= knots.count[:, None]
+    moved = (behind & passing[:, None])[..., None]
+    waypoints = jnp.where(moved, stops[:, None], knots.waypoints)
+    return Knots(waypoints=waypoints, count=knots.count + passing.astype(knots.count.dtype))
 
 
 def _wanted(along: _Along, config: KnotConfig) -> Float[Array, ""]:

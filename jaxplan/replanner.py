@@ -160,7 +160,7 @@ class Replanner:
         timer.lap("approach")
         best = select_approach(approaches)
         if best >= 0:
-            return PlanStatus.APPROACH, _Chosen(approaches, best, float(approaches.stretch[best]))
+            return PlanStatus.APPROACH, _Chosen(approaches, best, float(approaches.alpha[best]))
         if (np.asarray(candidates.reasons) & np.uint32(Reason.TARGET_LOST)).all():
             return PlanStatus.TARGET_LOST, None
         usable = bool((plans.reasons == 0).any()) or len(approaches.reasons) > 0

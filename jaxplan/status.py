@@ -27,7 +27,7 @@ class Reason(enum.IntFlag):
     ALPHA_NOT_CONVERGED = 1 << 5
     """The alpha iteration ended before the durations added up to the arrival time."""
     ALPHA_LT_1 = 1 << 6
-    """Arriving in time would take a scale factor below 1: a faster flight than the policy allots."""
+    """Arriving in time would take a scale factor below the least one: a faster flight than is looked at."""
     ILL_CONDITIONED = 1 << 7
     """Not set by this version."""
     DEVIATION = 1 << 8

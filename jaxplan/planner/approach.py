@@ -1,52 +1,58 @@
 """The way towards a target that cannot be met in time (host).
 
-An approach tries a few of the latest goals, each along several shares of its path and at several multiples of its least
-time: all of them are feasible, only late, and come to rest.
+An approach tries a few of the latest goals, each at several paces. Like any other plan it flies through its goal and
+comes to rest behind it, or, as a second choice, at the goal.
 """
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from jaxplan.planner.parts import Parts
 from jaxplan.planner.records import Approaches
-from jaxplan.planner.stations import no_trajectories
-from jaxplan.planner.table import Table, reject, table_of
+from jaxplan.planner.stations import Routes, no_trajectories
+from jaxplan.planner.table import Table, reject, table_of, times_to
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason
 
 GOALS = 4
-SHARES = (1.0, 0.6, 0.3)
-STRETCHES = (1.0, 1.4, 2.0)
-"""An approach tries this many goals, each along these shares of its path, at these multiples of its least time
-(arbitrary)."""
+PACES = (0.75, 0.82, 0.9, 1.0, 1.15, 1.4, 2.0, 3.0)
+"""An approach tries this many goals at these scale factors of the time allocation (arbitrary)."""
 
 
 def approach(parts: Parts, state: FlatState, candidates: Candidates) -> Approaches:
     """Trajectories towards the latest candidates, for when none can be met."""
     table = reject(parts, state, table_of(candidates, parts.config.likelihood_weight))
     rows = _latest_goals(table)
-    axes = np.meshgrid(np.arange(len(rows)), SHARES, STRETCHES, indexing="ij")
-    member, share, stretch = (axis.ravel() for axis in axes)
+    meetings = (True, False) if parts.config.meet == "pass" else (False,)
+    axes = np.meshgrid(np.arange(len(rows)), meetings, PACES, indexing="ij")
+    member, passing, alpha = (axis.ravel() for axis in axes)
     goals, times = table.goals(rows)[member], table.arrival_times(rows)[member]
-    whole_time, reasons, found = np.zeros(len(member)), np.zeros(len(member), np.uint32), no_trajectories()
+    arrival, reasons, found = np.zeros(len(member)), np.zeros(len(member), np.uint32), no_trajectories()
     if len(rows):
         paths = parts.search(state, table.goals(rows), np.asarray(candidates.target))
-        routes = parts.route(paths, member, share)
-        durations = parts.least_durations(state, routes) * stretch
+        routes = parts.route(paths, member, passing)
+        durations = parts.durations_at(state, routes, alpha)
         found = parts.check_all(state, routes, durations)
-        whole_time = durations.sum(axis=0) / share
-        reasons = found.margins.reasons | (paths.reasons & ~np.uint32(Reason.PREFIX_ONLY))[member]
+        arrival = times_to(durations, routes.meet) * _left_out(routes, paths.length[member])
+        missing = paths.reasons & ~np.uint32(Reason.PREFIX_ONLY)
+        reasons = np.asarray(found.margins.reasons) | missing[member]
     return Approaches(
         goals=goals,
         arrival_times=times,
-        share=share,
-        stretch=stretch,
-        lateness=whole_time - times,
+        alpha=alpha,
+        lateness=arrival - times,
         reasons=reasons,
         splines=found.splines,
         margins=found.margins,
     )
+
+
+def _left_out(routes: Routes, lengths: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    """By what the flight of only a beginning of a path is longer when it goes on to its end; 1 for whole ones."""
+    covered = np.linalg.norm(np.diff(np.asarray(routes.samples), axis=0), axis=1).sum(axis=0)
+    prefix = (np.asarray(routes.reasons) & np.uint32(Reason.PREFIX_ONLY)) != 0
+    return np.where(prefix, np.maximum(lengths / np.maximum(covered, 1e-9), 1.0), 1.0)
 
 
 def _latest_goals(table: Table) -> Int[np.ndarray, "n"]:

@@ -6,7 +6,7 @@ Every station is compiled for one width and called as often as there are candida
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt32
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from jaxplan.arrays import AnyArray
 from jaxplan.batching import at_fixed_width, pick
@@ -15,6 +15,7 @@ from jaxplan.planner.stations import Routes, Stations, Trajectories, shortened
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.search.lattice import Lattices, Paths
 from jaxplan.search.routes import find_routes
+from jaxplan.search.stops import stop_points
 from jaxplan.spline import FlatState
 from jaxplan.world.obstacles import World
 
@@ -56,20 +57,23 @@ class Parts(NamedTuple):
         distance = float(np.linalg.norm(target - start))
         return find_routes(self.lattices, self.world, start, goals, distance, capacity=self.config.path_capacity)
 
-    def route(self, paths: Paths, member: Int[np.ndarray, "k"], shares: Float[np.ndarray, "k"]) -> Routes:
-        """Waypoints along the first ``shares`` of the paths ``member``, in arrays no longer than needed."""
+    def route(self, paths: Paths, member: Int[np.ndarray, "k"], passing: Bool[np.ndarray, "k"]) -> Routes:
+        """Waypoints along the paths ``member``, where ``passing`` on to their stop points; arrays as long as needed."""
+        stops = paths.points[member, -1]
+        if passing.any():
+            stops = np.where(passing[:, None], stop_points(self.lattices, self.world, paths)[member], stops)
 
         def place(some: Int[np.ndarray, "n"]) -> Routes:
-            return self.stations.route(paths.points[member[some]], shares[some])
+            return self.stations.route(paths.points[member[some]], stops[some])
 
         return shortened(at_fixed_width(place, np.arange(len(member)), self.config.width))
 
-    def least_durations(self, state: FlatState, routes: Routes) -> Float[np.ndarray, "m k"]:
-        """The policy's least durations [s]."""
+    def durations_at(self, state: FlatState, routes: Routes, alpha: Float[np.ndarray, "k"]) -> Float[np.ndarray, "m k"]:
+        """The policy's durations [s] at given scale factors."""
         at_once = np.zeros(self.config.width)
 
         def ask(some: Int[np.ndarray, "n"]) -> Float[Array, "m n"]:
-            return self.stations.match(state, pick(routes, some), at_once).least_durations
+            return self.stations.match(state, pick(routes, some), at_once, alpha[some]).least_durations
 
         return at_fixed_width(ask, np.arange(len(routes.count)), self.config.width)
 

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt32
 
 from jaxplan.arrival import ArrivalConfig
+from jaxplan.errors import InputError
 from jaxplan.knots import KnotConfig
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.planner.timer import Timer
@@ -19,6 +20,9 @@ from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.validation import require_at_least, require_one_of, require_positive, require_within
 from jaxplan.world.obstacles import World
 from jaxplan.world.update import Change
+
+MEETINGS = ("pass", "rest")
+HEADINGS = ("hold", "path")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +37,11 @@ class PlannerConfig:
     """Side of the finest cells [m] by which paths are searched; coarser where a room is too large."""
     narrow_passages: bool = True
     """Where no path keeps the padding, take one that keeps the vehicle's radius and the tracking margin (roadmap)."""
-    max_speed: float = 8.0
+    meet: str = "pass"
+    """How a target is met: "pass" flies through the goal to a stop point behind it, "rest" stops at it (paper)."""
+    heading: str = "hold"
+    """Where the vehicle looks: "hold" keeps its yaw, "path" turns it along the path."""
+    max_speed: float = 20.0
     """Goals that need more than this average speed [m/s] are dropped at once (arbitrary, above what is ever flown)."""
     max_yaw_rate: float = 1.5
     """Average yaw rate [rad/s] that a segment may ask for (docs/decisions/0010-yaw-rate.md)."""
@@ -46,7 +54,7 @@ class PlannerConfig:
     exhaustive: bool = False
     """Match and check every candidate (the paper) instead of the best ones until one passes: the same winner."""
     knots: KnotConfig = KnotConfig()
-    arrival: ArrivalConfig = ArrivalConfig()
+    arrival: ArrivalConfig = ArrivalConfig(least_alpha=0.75)
     checks: CheckConfig = CheckConfig()
 
     def __post_init__(self) -> None:
@@ -54,6 +62,10 @@ class PlannerConfig:
         require_at_least("planner", self, 0, "padding")
         require_within("planner", self, 1, 65536, "width")
         require_one_of("planner", self, METHODS, "search")
+        require_one_of("planner", self, MEETINGS, "meet")
+        require_one_of("planner", self, HEADINGS, "heading")
+        if self.meet == "pass" and self.search != "roadmap":
+            raise InputError(f"planner: meet 'pass' needs search 'roadmap', have {self.search!r}; want meet 'rest'")
 
 
 @record
@@ -92,10 +104,8 @@ class Approaches:
     """Positions [m, world] that the paths lead to."""
     arrival_times: Float[np.ndarray, "n"]
     """When each target is at its goal [s from the start state]."""
-    share: Float[np.ndarray, "n"]
-    """Part of the path to the goal that the trajectory covers before it comes to rest."""
-    stretch: Float[np.ndarray, "n"]
-    """Multiple of the least time that it takes."""
+    alpha: Float[np.ndarray, "n"]
+    """Scale factor of the time allocation."""
     lateness: Float[np.ndarray, "n"]
     """How much later than the target [s] the vehicle would be at the goal at this pace."""
     reasons: UInt32[np.ndarray, "n"]

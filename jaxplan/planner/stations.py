@@ -36,6 +36,8 @@ class Routes(NamedTuple):
     """Knots of each path [m, world]; the goal is repeated behind the last one."""
     count: Int[AnyArray, "k"]  # type: ignore[assignment]  # of waypoints, not tuple.count
     """Waypoints in use."""
+    meet: Int[AnyArray, "k"]
+    """Number of the waypoint at the goal, where the target is met; behind it there may be a stop point."""
     samples: Float[AnyArray, "p 3 k"]
     """The paths at equal steps of arc length [m, world], for the deviation test."""
     reasons: UInt32[AnyArray, "k"]
@@ -58,15 +60,17 @@ class Reject(Protocol):
 class Route(Protocol):
     """Waypoints along paths."""
 
-    def __call__(self, paths: Float[AnyArray, "k l 3"], shares: Float[AnyArray, "k"]) -> Routes:
-        """Corners of the paths [m, world], and which part of each is wanted, from its start."""
+    def __call__(self, paths: Float[AnyArray, "k l 3"], stops: Float[AnyArray, "k 3"]) -> Routes:
+        """Corners of the paths, and where each goes on to behind its goal [m, world]."""
 
 
 class Match(Protocol):
     """Durations that arrive at given times."""
 
-    def __call__(self, state: FlatState, routes: Routes, arrival_times: Float[AnyArray, "k"]) -> Arrival:
-        """For arrival times of 0 [s] it ends after one call of the policy, which has its least durations.
+    def __call__(
+        self, state: FlatState, routes: Routes, arrival_times: Float[AnyArray, "k"], least_alpha: Float[AnyArray, "k"]
+    ) -> Arrival:
+        """For arrival times of 0 [s] it ends after one call of the policy, which has the durations at ``least_alpha``.
 
         The same program serves both.
         """
@@ -106,23 +110,33 @@ def compile_stations(
         return reject_early(candidates, world, start, config.padding, config.max_speed)
 
     @jax.jit
-    def route(paths: Float[Array, "k l 3"], shares: Float[Array, "k"]) -> Routes:
-        routes = select_routes(paths, config.knots, shares)
+    def route(paths: Float[Array, "k l 3"], stops: Float[Array, "k 3"]) -> Routes:
+        routes = select_routes(paths, config.knots, stops=stops)
         return Routes(
             waypoints=jnp.moveaxis(routes.knots.waypoints, 0, -1),
             count=routes.knots.count,
+            meet=routes.meet,
             samples=jnp.moveaxis(routes.samples, 0, -1),
             reasons=bit(~routes.whole, Reason.PREFIX_ONLY),
         )
 
     @jax.jit
-    def match(state: FlatState, routes: Routes, arrival_times: Float[Array, "k"]) -> Arrival:
-        context = policy.encode(jnp.asarray(routes.waypoints), jnp.asarray(routes.count))
-        return match_arrival(lambda d: policy.decode(context, d), state, arrival_times, config.arrival)
+    def match(
+        state: FlatState, routes: Routes, arrival_times: Float[Array, "k"], least_alpha: Float[Array, "k"]
+    ) -> Arrival:
+        context, meet = (
+            policy.encode(jnp.asarray(routes.waypoints), jnp.asarray(routes.count)),
+            jnp.asarray(routes.meet),
+        )
+        return match_arrival(
+            lambda d: policy.decode(context, d), state, arrival_times, config.arrival, meet, least_alpha
+        )
+
+    max_yaw_rate = config.max_yaw_rate if config.heading == "path" else 0.0
 
     @jax.jit
     def solve(state: FlatState, routes: Routes, durations: Float[Array, "m k"]) -> Trajectories:
-        splines = fit(state, jnp.asarray(routes.waypoints), durations, config.max_yaw_rate)
+        splines = fit(state, jnp.asarray(routes.waypoints), durations, max_yaw_rate)
         probability = None if classifier is None else classifier.predict(splines, vehicle).probability
         return Trajectories(
             splines, check_flight(splines, jnp.asarray(routes.samples), vehicle, config.checks, probability)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int, UInt32
 
+from jaxplan.arrays import AnyArray
 from jaxplan.arrival import Arrival
 from jaxplan.batching import fill, join, pick
 from jaxplan.planner.parts import Parts
@@ -114,25 +115,27 @@ def search(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
 def knots(parts: Parts, table: Table, rows: Rows) -> Table:
     """Place waypoints along the paths of all ``rows`` that were searched."""
     assert table.paths is not None, "rows are searched first"
-    routes = parts.route(table.paths, table.route[rows], np.ones(len(rows)))
+    passing = np.full(len(rows), parts.config.meet == "pass")
+    routes = parts.route(table.paths, table.route[rows], passing)
     return table.against(rows, np.asarray(routes.reasons))._replace(routes=routes)
 
 
 def bound(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
-    """Ask the policy for the least time to each goal: what takes longer than T_goal cannot be met (alpha < 1)."""
+    """Ask the policy for the least time to each goal: what takes longer than T_goal cannot be met."""
     assert table.routes is not None, "waypoints come first"
-    alpha = table.alpha.copy()
-    alpha[rows] = table.arrival_times(rows) / parts.least_durations(state, table.routes).sum(axis=0)
-    late = ~(alpha[rows] >= 1.0 - parts.config.arrival.tolerance)
+    alpha, least = table.alpha.copy(), parts.config.arrival.least_alpha
+    durations = parts.durations_at(state, table.routes, np.full(len(rows), least))
+    alpha[rows] = least * table.arrival_times(rows) / times_to(durations, table.routes.meet)
+    late = ~(alpha[rows] >= least * (1.0 - parts.config.arrival.tolerance))
     return table.against(rows, np.where(late, Reason.ALPHA_LT_1, 0).astype(np.uint32))._replace(alpha=alpha)
 
 
 def match(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
     """Slow at most ``width`` rows down until each arrives at T_goal."""
     padded = fill(rows, parts.config.width)
-    routes = pick(table.routes, table.route[padded])
+    routes, least = pick(table.routes, table.route[padded]), np.full(len(padded), parts.config.arrival.least_alpha)
     return table._replace(
-        matched=Matched(rows, routes, parts.stations.match(state, routes, table.arrival_times(padded)))
+        matched=Matched(rows, routes, parts.stations.match(state, routes, table.arrival_times(padded), least))
     )
 
 
@@ -150,6 +153,11 @@ def check(parts: Parts, state: FlatState, table: Table) -> Table:
         matched=None,
         trajectories=(*table.trajectories, (found, len(rows))),
     )
+
+
+def times_to(durations: Float[np.ndarray, "m k"], meet: Int[AnyArray, "k"]) -> Float[np.ndarray, "k"]:
+    """Seconds to waypoint number ``meet`` of each sequence."""
+    return np.where(np.arange(len(durations))[:, None] < np.asarray(meet)[None], durations, 0.0).sum(axis=0)
 
 
 def _numbered(columns: Int[np.ndarray, "k"], rows: Rows, first: int) -> Int[np.ndarray, "k"]:

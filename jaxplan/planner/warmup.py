@@ -20,14 +20,14 @@ def compile_all(stations: Stations, world: World, config: PlannerConfig, state: 
     """Compile the lengths side by side: XLA leaves a core idle for much of the time."""
     with _uncollected(), ThreadPoolExecutor(len(LENGTHS)) as pool:
         paths = np.tile(np.asarray(state.pos), (config.width, config.path_capacity, 1))
-        whole = jax.tree.map(np.asarray, stations.route(paths, np.ones(config.width)))
+        whole = jax.tree.map(np.asarray, stations.route(paths, paths[:, -1]))
         list(pool.map(in_float64(functools.partial(_compile, stations, world, state, whole)), LENGTHS))
 
 
 def _compile(stations: Stations, world: World, state: FlatState, whole: Routes, length: int) -> None:
     """Call the stations, each with what the one before it returns."""
     routes = cut(whole, length)
-    arrival = stations.match(state, routes, np.zeros(len(routes.count)))
+    arrival = stations.match(state, routes, np.zeros(len(routes.count)), np.ones(len(routes.count)))
     jax.block_until_ready(stations.clear(world, stations.solve(state, routes, arrival.durations)))
 
 

@@ -6,6 +6,7 @@ import jax
 import numpy as np
 import pytest
 
+from jaxplan.arrival import ArrivalConfig
 from jaxplan.compilation import compilations
 from jaxplan.errors import InputError
 from jaxplan.knots import KnotConfig
@@ -56,24 +57,65 @@ def candidates(count=20, seed=0):
 
 
 def test_usable_plans_keep_every_promise(planner, world, moving):
-    """Start state met to snap, goal reached on time at rest, clear of everything on dense samples."""
+    """Start state met to snap, goal passed on time, at rest behind it, clear of everything on dense samples."""
+    plans = planner.plan_batch(moving, candidates(36))
+    usable, behind = np.flatnonzero(plans.reasons == 0), []
+    assert len(usable) >= 3
+    for index in usable:
+        spline = plans.spline(index)
+        met = spline.state(plans.arrival_times[index])
+        np.testing.assert_allclose(met.pos, plans.goals[index], **tolerance("solve"))
+        assert plans.alpha[index] >= CONFIG.arrival.least_alpha - 2e-3
+        start, end = spline.state(0.0), spline.state(float(spline.duration))
+        np.testing.assert_allclose(start.derivatives[:4], moving.derivatives[:4], **tolerance("solve"))
+        np.testing.assert_allclose(start.snap, moving.snap, **tolerance("solve"))
+        np.testing.assert_allclose(start.yaw, moving.yaw, **tolerance("formula"))
+        behind.append(np.linalg.norm(end.pos - plans.goals[index]))
+        assert (np.linalg.norm(met.vel) > 0.3) == (behind[-1] > 0.4)
+        np.testing.assert_allclose(end.derivatives[1:], 0.0, atol=1e-4)
+        points = spline.evaluate(np.linspace(0, float(spline.duration), 2000))[:, :3]
+        with jax.enable_x64(True):
+            free = np.asarray(free_distance(world, points))
+        assert free.min() >= load_vehicle().radius + CONFIG.checks.tracking_margin
+    assert sum(distance > 0.4 for distance in behind) >= 2
+
+
+def test_at_rest_at_the_goal_where_that_is_wanted(world, moving):
+    """As in the paper: alpha at least 1, the plan ends at its goal when the target is there."""
+    config = dataclasses.replace(CONFIG, meet="rest", heading="path", arrival=ArrivalConfig())
+    planner = build_planner(config, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
     plans = planner.plan_batch(moving, candidates(36))
     usable = np.flatnonzero(plans.reasons == 0)
     assert len(usable) >= 3
     for index in usable:
         spline = plans.spline(index)
         assert float(spline.duration) == pytest.approx(plans.arrival_times[index], **relative("formula"))
+        np.testing.assert_allclose(spline.state(float(spline.duration)).pos, plans.goals[index], **tolerance("solve"))
         assert plans.alpha[index] >= 1.0 - 2e-3
-        start, end = spline.state(0.0), spline.state(float(spline.duration))
-        np.testing.assert_allclose(start.derivatives[:4], moving.derivatives[:4], **tolerance("solve"))
-        np.testing.assert_allclose(start.snap, moving.snap, **tolerance("solve"))
-        np.testing.assert_allclose(start.yaw, moving.yaw, **tolerance("formula"))
-        np.testing.assert_allclose(end.pos, plans.goals[index], **tolerance("solve"))
-        np.testing.assert_allclose(end.derivatives[1:], 0.0, atol=1e-4)
-        points = spline.evaluate(np.linspace(0, float(spline.duration), 2000))[:, :3]
-        with jax.enable_x64(True):
-            free = np.asarray(free_distance(world, points))
-        assert free.min() >= load_vehicle().radius + CONFIG.checks.tracking_margin
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"meet": "crash"}, "meet"),
+        ({"heading": "down"}, "heading"),
+        ({"meet": "pass", "search": "multi-resolution"}, "meet 'rest'"),
+    ],
+)
+def test_meetings_that_cannot_be_are_refused(options, said):
+    with pytest.raises(InputError, match=said):
+        PlannerConfig(**options)
+
+
+@pytest.mark.parametrize(("heading", "turns"), [("hold", False), ("path", True)])
+def test_the_heading_is_held_or_follows_the_path(world, heading, turns):
+    config = dataclasses.replace(CONFIG, heading=heading)
+    planner = build_planner(config, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
+    plans = planner.plan_batch(hover(START), candidates(36))
+    yaw = [plans.spline(index).state(3.0).yaw[0] for index in np.flatnonzero(plans.reasons == 0)]
+    assert len(yaw) >= 3
+    assert (np.abs(yaw).max() > 0.3) == turns
+    assert turns or np.abs(yaw).max() < 1e-9
 
 
 def test_taking_the_best_first_finds_the_winner_of_an_exhaustive_evaluation(world, moving):
@@ -146,13 +188,15 @@ def test_no_candidate_means_no_plan(planner, moving):
     assert select_approach(planner.approach(moving, nothing)) == -1
 
 
-def test_removing_the_obstacles_never_turns_an_accept_into_a_clearance_reject(planner, world, moving):
-    """Adding obstacles may only reject; here seen from the other side."""
-    empty = replace(world, obstacles=make_obstacles())
-    free = build_planner(CONFIG, world=empty, vehicle=load_vehicle(), policy=constant_speed_policy())
-    plans = free.plan_batch(moving, candidates(36))
+def test_removing_the_obstacles_never_turns_an_accept_into_a_clearance_reject(world, moving):
+    """Adding obstacles may only reject; here seen from the other side. Stop points would differ."""
+    empty, config = replace(world, obstacles=make_obstacles()), dataclasses.replace(CONFIG, meet="rest")
+    full, free = (
+        build_planner(config, world=some, vehicle=load_vehicle(), policy=constant_speed_policy())
+        for some in (world, empty)
+    )
+    plans, crowded = (planner.plan_batch(moving, candidates(36)) for planner in (free, full))
     assert not (plans.reasons & int(Reason.GOAL_OCCUPIED)).any()
-    crowded = planner.plan_batch(moving, candidates(36))
     assert (plans.reasons == 0).sum() >= (crowded.reasons == 0).sum()
 
 
@@ -262,7 +306,7 @@ def test_committed_interception_survives_cycles_without_a_candidate(planner):
     assert cycles[0].status is PlanStatus.INTERCEPT
     assert [cycle.status for cycle in cycles[1:]] == [PlanStatus.NO_CANDIDATE] * 4
     assert len(replanner.plans) == 2
-    np.testing.assert_allclose(replanner.reference(np.array([50.0])).pos[0], goal, **tolerance("solve"))
+    np.testing.assert_allclose(replanner.reference(np.array([3.0])).pos[0], goal, **tolerance("solve"))
 
 
 @pytest.mark.parametrize("samples", [1, 20])

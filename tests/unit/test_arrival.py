@@ -21,6 +21,12 @@ def moving_state():
     return FlatState(derivatives=derivatives, yaw=np.zeros(3))
 
 
+@pytest.mark.parametrize("least", [0.0, 1.5, float("nan")])
+def test_a_least_scale_factor_that_makes_no_sense_is_refused(least):
+    with pytest.raises(InputError, match="least_alpha"):
+        ArrivalConfig(least_alpha=least)
+
+
 def solve(elasticity, least, arrival_times, config=CONFIG):
     """One lane per entry: total time least * alpha^elasticity before slowing, split over two segments."""
     elasticity, least = jnp.asarray(elasticity), jnp.asarray(least)
@@ -73,6 +79,33 @@ def test_unreachable_and_invalid_lanes_leave_their_neighbours_alone():
     assert (reasons[1:] != 0).all()
     np.testing.assert_allclose(mixed.alpha[1], 2.0 / 3.0)
     assert list(np.asarray(mixed.calls)[1:]) == [1, 1, 1, 1]
+
+
+def test_faster_than_allotted_where_that_is_looked_at():
+    """T(alpha) = alpha^1.5 down to a scale factor of 0.6; what takes less is unreachable."""
+    config = ArrivalConfig(least_alpha=0.6)
+    goals = np.array([0.4, 0.6**1.5, 0.7, 1.0, 3.0])
+    with jax.enable_x64(True):
+        found = solve(np.full(5, 0.5), np.ones(5), goals, config)
+    assert np.asarray(found.reasons).tolist() == [Reason.ALPHA_LT_1, 0, 0, 0, 0]
+    np.testing.assert_allclose(found.alpha[1:], goals[1:] ** (1.0 / 1.5), rtol=5e-3)
+    np.testing.assert_allclose(np.asarray(found.durations)[:, 1:].sum(axis=0), goals[1:], rtol=1e-3)
+    np.testing.assert_allclose(np.asarray(found.least_durations).sum(axis=0), 0.6**1.5, **tolerance("exact"))
+    assert float(found.alpha[0]) == pytest.approx(0.6 * 0.4 / 0.6**1.5)
+
+
+def test_the_target_is_met_where_its_waypoint_is():
+    """The first of two segments takes a quarter of the time: met there, everything is slower by what that asks."""
+
+    def decode(initial):
+        return _split(initial.derivatives[1, 0] ** 0.5)
+
+    with jax.enable_x64(True):
+        found = match_arrival(decode, moving_state(), jnp.array([1.0, 1.0]), CONFIG, jnp.array([1, 2]))
+    durations = np.asarray(found.durations)
+    np.testing.assert_allclose(durations[0, 0], 1.0, **tolerance("exact"))
+    np.testing.assert_allclose(durations[1, 0], 3.0, **tolerance("exact"))
+    np.testing.assert_allclose(durations[:, 1].sum(), 1.0, **tolerance("exact"))
 
 
 def test_iterations_are_bounded():

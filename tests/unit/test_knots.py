@@ -109,6 +109,28 @@ def test_many_paths_are_as_each_alone_and_long_ones_are_cut(longest):
     np.testing.assert_allclose(together.samples[together.whole], even[together.whole], **tolerance("exact"))
 
 
+def test_a_stop_point_is_one_more_waypoint_behind_the_goal():
+    """Three paths of 5 m: on to 1 m behind the goal, not at all, and one too long to be carried whole."""
+    config = KnotConfig(turning_per_knot=10.0)
+    paths = np.linspace(0.0, 1.0, 9)[:, None] * np.array([5.0, 5.0, 40.0])[:, None, None] * [1.0, 0.0, 0.0]
+    stops = np.array([[5.0, 1.0, 0.0], [5.0, 0.0, 0.0], [41.0, 0.0, 0.0]])
+    with jax.enable_x64(True):
+        rested = jax.jit(lambda p: select_routes(p, config))(paths)
+        passed = jax.jit(lambda p, s: select_routes(p, config, stops=s))(paths, stops)
+    goal, count = np.asarray(passed.meet), np.asarray(passed.knots.count)
+    assert goal.tolist() == [2, 2, MAX_WAYPOINTS - 2]
+    assert count.tolist() == [4, 3, MAX_WAYPOINTS - 1]
+    waypoints, before = np.asarray(passed.knots.waypoints), np.asarray(rested.knots.waypoints)
+    np.testing.assert_allclose(waypoints[0, :3], before[0, :3], **tolerance("exact"))
+    np.testing.assert_allclose(waypoints[0, 3:], np.tile(stops[0], (MAX_WAYPOINTS - 3, 1)), **tolerance("exact"))
+    np.testing.assert_allclose(waypoints[1], before[1], **tolerance("exact"))
+    np.testing.assert_allclose(passed.samples[0, -1], stops[0], **tolerance("exact"))
+    steps = np.linalg.norm(np.diff(np.asarray(passed.samples[0]), axis=0), axis=1)
+    assert steps.max() < 6.0 / 63 + 1e-9
+    assert np.asarray(passed.whole).tolist() == [True, True, False]
+    assert (waypoints[2, :, 1] == 0.0).all()
+
+
 def test_configuration_is_checked():
     with pytest.raises(InputError, match="distance_per_knot"):
         KnotConfig(distance_per_knot=float("nan"))

@@ -51,7 +51,7 @@ class Field(NamedTuple):
 @inner
 @no_type_check
 def keeps_clear(field, limit, a, b):
-    """Whether all points of the segment a-b [m] keep the distance ``limit`` [m] from obstacles."""
+    """Whether all points of the segment a-b [m] keep the distance ``limit`` [m] from obstacles, if its ends do."""
     solids = field[3]
     few = len(solids[0]) <= FEW
     if few and not _clear_of_primitives(solids, limit, a, b):
