@@ -29,6 +29,8 @@ from jaxplan.prediction.target_model import TargetModel, shipped_model
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
 from jaxplan.runner.tables import as_latex, number
 from jaxplan.runner.tables import as_markdown as markdown_table
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.vehicle.reach import reach
 from jaxplan.world.load import ENVIRONMENTS, load_world
 from jaxplan.world.obstacles import World
 
@@ -39,8 +41,8 @@ FLIGHT_INTERVAL = 0.1
 MOMENTS = {"env1": ("env1-05", 2.5, 9.4), "env2": ("env2-07", 3.0, 17.8), "env3": ("env3-06", 3.0, 24.8)}
 """Target, maximum speed [m/s] and time [s] that the picture shows."""
 SHOWN = ("constant-velocity", "ground-truth", "noisy", "gmm")
-PADDING, MAX_SPEED = 0.5, 8.0
-"""As in ``PlannerConfig``: clearance of goals [m], and the speed [m/s] that says what is out of reach."""
+PADDING = 0.5
+"""As in ``PlannerConfig``: clearance of goals [m]."""
 
 
 def stored_windows(
@@ -100,11 +102,12 @@ def panels(world: str) -> Iterator[PredictionPanel]:
     times = now + config.dt * np.arange(1 - config.observations, 1)
     seen = Observations(times=times, positions=target.position(times))
     future = target.position(now + np.linspace(0.0, config.offsets[-1], 100))
-    rejected = in_float64(jax.jit(reject_early, static_argnums=(3, 4)))
+    rejected, farthest = in_float64(jax.jit(reject_early, static_argnums=3)), in_float64(jax.jit(reach))
     for kind in SHOWN:
         model = shipped_model(world, config.dt) if kind == "gmm" else None
         candidates = build_predictor(kind, config, target.position, model=model, world=room)(seen, 0)
-        reasons = np.asarray(rejected(candidates, room, np.asarray(room.start), PADDING, MAX_SPEED).reasons)
+        within = farthest(load_vehicle(), np.float64(0.0), np.asarray(candidates.arrival_times))
+        reasons = np.asarray(rejected(candidates, room, np.asarray(room.start), PADDING, within).reasons)
         title = f"{world}, {kind}: {np.count_nonzero(reasons == 0)} of {len(reasons)} usable"
         goals, times = np.asarray(candidates.goals), np.asarray(candidates.arrival_times)
         yield PredictionPanel(title, goals, times, reasons == 0, seen.positions, future)

@@ -37,7 +37,7 @@ class Reason(enum.IntFlag):
     LIMITS = 1 << 10
     """A rotor would have to turn faster or slower than it can."""
     OUT_OF_REACH = 1 << 11
-    """Even straight on at the planner's maximum speed the goal is reached too late."""
+    """Even straight on with all rotors at full thrust the goal is reached too late."""
     PREFIX_ONLY = 1 << 12
     """The path has more points than fit; its trajectory can approach the goal but not meet the target."""
     TARGET_LOST = 1 << 13

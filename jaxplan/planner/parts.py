@@ -35,7 +35,7 @@ class Parts(NamedTuple):
         """Early reasons against each candidate."""
         goals, times = np.asarray(candidates.goals), np.asarray(candidates.arrival_times)
         likelihood, reasons = np.asarray(candidates.likelihood), np.asarray(candidates.reasons)
-        start, target = np.asarray(state.pos), np.asarray(candidates.target)
+        target = np.asarray(candidates.target)
         if len(goals) == 0:
             return reasons.copy()
 
@@ -47,7 +47,7 @@ class Parts(NamedTuple):
                 reasons=reasons[members],
                 target=target,
             )
-            return self.stations.reject(self.world, some, start).reasons
+            return self.stations.reject(self.world, some, state).reasons
 
         return at_fixed_width(mark, np.arange(len(goals)), GOALS_AT_ONCE)
 

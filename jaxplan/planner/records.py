@@ -41,8 +41,6 @@ class PlannerConfig:
     """How a target is met: "pass" flies through the goal to a stop point behind it, "rest" stops at it (paper)."""
     heading: str = "hold"
     """Where the vehicle looks: "hold" keeps its yaw, "path" turns it along the path."""
-    max_speed: float = 20.0
-    """Goals that need more than this average speed [m/s] are dropped at once (arbitrary, above what is ever flown)."""
     max_yaw_rate: float = 1.5
     """Average yaw rate [rad/s] that a segment may ask for (docs/decisions/0010-yaw-rate.md)."""
     likelihood_weight: float = 1.0
@@ -58,7 +56,7 @@ class PlannerConfig:
     checks: CheckConfig = CheckConfig()
 
     def __post_init__(self) -> None:
-        require_positive("planner", self, "max_speed", "max_yaw_rate", "resolution")
+        require_positive("planner", self, "max_yaw_rate", "resolution")
         require_at_least("planner", self, 0, "padding")
         require_within("planner", self, 1, 65536, "width")
         require_one_of("planner", self, METHODS, "search")

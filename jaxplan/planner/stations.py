@@ -16,6 +16,7 @@ from jaxplan.arrival import Arrival, match_arrival
 from jaxplan.feasibility.classifier import Classifier
 from jaxplan.knots import MAX_WAYPOINTS, select_routes
 from jaxplan.minsnap.spline_batch import SplineBatch, fit
+from jaxplan.numerics import safe_norm
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.policy.protocol import Policy
 from jaxplan.prediction.candidates import Candidates, reject_early
@@ -23,6 +24,7 @@ from jaxplan.selection import Margins, check_clearance, check_flight
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason, bit
 from jaxplan.vehicle.params import Vehicle
+from jaxplan.vehicle.reach import reach
 from jaxplan.world.obstacles import World
 
 LENGTHS = (7, MAX_WAYPOINTS)
@@ -53,8 +55,8 @@ class Trajectories(NamedTuple):
 class Reject(Protocol):
     """Early reasons against candidates."""
 
-    def __call__(self, world: World, candidates: Candidates, start: Float[AnyArray, "3"]) -> Candidates:
-        """``start`` is where the plan begins [m, world]."""
+    def __call__(self, world: World, candidates: Candidates, state: FlatState) -> Candidates:
+        """``state`` is where the plan begins."""
 
 
 class Route(Protocol):
@@ -106,8 +108,9 @@ def compile_stations(
     """Bind configuration and constants, and compile."""
 
     @jax.jit
-    def reject(world: World, candidates: Candidates, start: Float[Array, "3"]) -> Candidates:
-        return reject_early(candidates, world, start, config.padding, config.max_speed)
+    def reject(world: World, candidates: Candidates, state: FlatState) -> Candidates:
+        farthest = reach(vehicle, safe_norm(jnp.asarray(state.vel)), jnp.asarray(candidates.arrival_times))
+        return reject_early(candidates, world, jnp.asarray(state.pos), config.padding, farthest)
 
     @jax.jit
     def route(paths: Float[Array, "k l 3"], stops: Float[Array, "k 3"]) -> Routes:

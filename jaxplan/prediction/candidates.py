@@ -56,7 +56,7 @@ def candidates_from(
 
 
 def reject_early(
-    candidates: Candidates, world: World, start: Float[Array, "3"], padding: float, max_speed: float
+    candidates: Candidates, world: World, start: Float[Array, "3"], padding: float, reach: Float[Array, "k"]
 ) -> Candidates:
     """Mark what cannot be a goal: outside the room, in a padded obstacle, at no usable time, out of reach.
 
@@ -65,7 +65,7 @@ def reject_early(
         world: the room and its obstacles.
         start: where the plan starts [m, world]; arrival times count from that instant.
         padding: clearance that a goal needs from obstacles [m].
-        max_speed: speed [m/s] above which no plan flies; farther goals are out of reach whatever the path.
+        reach: how far [m] the vehicle can get until each arrival; farther goals are out of reach whatever the path.
     """
     goals, left = jnp.asarray(candidates.goals), jnp.asarray(candidates.arrival_times)
     distance = jnp.sqrt(jnp.sum((goals - start[None]) ** 2, axis=-1))
@@ -74,6 +74,6 @@ def reject_early(
         | bit(~(wall_clearance(world, goals) >= world.keep_in), Reason.GOAL_OUTSIDE)
         | bit(~(clearance(world, goals) >= padding), Reason.GOAL_OCCUPIED)
         | bit(~((left > 0.0) & jnp.isfinite(left)), Reason.T_GOAL_INVALID)
-        | bit(~(distance <= max_speed * left), Reason.OUT_OF_REACH)
+        | bit(~(distance <= reach), Reason.OUT_OF_REACH)
     )
     return replace(candidates, reasons=candidates.reasons | reasons)
