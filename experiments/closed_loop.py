@@ -18,6 +18,7 @@ from jaxplan.prediction.predictors import build_predictor
 from jaxplan.prediction.protocol import PredictionConfig, StepPredictor
 from jaxplan.prediction.target_model import shipped_model
 from jaxplan.scenario import Scenario, build_scenario
+from jaxplan.tracking.result import SUCCESS
 from jaxplan.tracking.rollout import Plant, build_plant
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import ENVIRONMENTS
@@ -48,6 +49,8 @@ class EpisodeConfig:
     """The target's maximum speed [m/s]."""
     departure: float
     seed: int
+    meet: str = "pass"
+    """How the target is met, as ``InterceptConfig`` says; "rest" is the paper's, with the heading along the path."""
 
 
 def available_planners() -> tuple[str, ...]:
@@ -69,17 +72,18 @@ def check_names(worlds: tuple[str, ...], planners: tuple[str, ...], predictors: 
             raise InputError(f"--{kind}: have {wrong[0]!r}, want some of {', '.join(known)}")
 
 
-def warm_up(world: str, planner: str) -> None:
+def warm_up(world: str, planner: str, meet: str = "pass") -> None:
     """Load a world and a planner, and fly the episodes that compile most of what theirs call."""
     for predictor in WARM_UP_PREDICTORS[:1] if planner in LAWS else WARM_UP_PREDICTORS:
         names = {"world": world, "planner": planner, "predictor": predictor, "target": stored_targets(world)[0]}
+        names["meet"] = meet
         fly(EpisodeConfig(**names, speed=3.0, departure=0.5, seed=0))
 
 
 def fly(episode: EpisodeConfig) -> Episode:
     """Fly an episode; its result depends on nothing but ``episode``."""
     target = load_target(episode.target, world=episode.world, speed=episode.speed)
-    return _fly(_scenario(episode.world, episode.planner), episode, target)
+    return _fly(_scenario(episode.world, episode.planner, episode.meet), episode, target)
 
 
 def numbers(episode: Episode) -> dict[str, Any]:
@@ -89,6 +93,7 @@ def numbers(episode: Episode) -> dict[str, Any]:
     end = float(flight.times[-1])
     return {
         "outcome": episode.outcome,
+        "singular": _is_singular(episode),
         "time_to_intercept_s": end - episode.scenario.departure if episode.success else None,
         "end_time_s": end,
         "min_distance_m": float(apart.min()),
@@ -97,6 +102,13 @@ def numbers(episode: Episode) -> dict[str, Any]:
         "min_clearance_m": float(flight.clearance.min()),
         "replans": episode.replans,
     }
+
+
+def _is_singular(episode: Episode) -> bool:
+    """Whether an episode is lost by its heading alone, on a flight whose position and turn about body z are kept."""
+    flight = episode.flight
+    kept = flight.position_error[-1] < SUCCESS.position and flight.twist_error[-1] < SUCCESS.yaw
+    return episode.outcome == "tracking_lost" and bool(kept)
 
 
 def _fly(scenario: Scenario, episode: EpisodeConfig, target: Target) -> Episode:
@@ -120,30 +132,32 @@ def _sigma(predictor: str) -> float | None:
     return float(found.group(1)) if found else None
 
 
-def _scenario(world: str, planner: str) -> Scenario:
+def _scenario(world: str, planner: str, meet: str) -> Scenario:
     """The planner in this world, with what it has compiled in others."""
-    known = _scenarios(planner)
+    known = _scenarios(planner, meet)
     if world not in known:
         other = next(iter(known.values()), None)
-        known[world] = _load(world, planner, None if other is None else other.planner)
+        known[world] = _load(world, planner, meet, None if other is None else other.planner)
     return known[world]
 
 
 @functools.lru_cache(maxsize=1)
-def _scenarios(planner: str) -> dict[str, Scenario]:
+def _scenarios(planner: str, meet: str) -> dict[str, Scenario]:
     """By world. Only the newest planner's are kept: its programs are large, and episodes come sorted by planner."""
     return {}
 
 
-def _load(world: str, planner: str, elsewhere: Planner | None) -> Scenario:
+def _load(world: str, planner: str, meet: str, elsewhere: Planner | None) -> Scenario:
     known: intercept.Planner = next((name for name in intercept.PLANNERS if name == planner), "no-policy")
-    config = intercept.InterceptConfig(world=world, planner=known, predictor="noisy")
+    way: intercept.Meet = next(name for name in intercept.MEETINGS if name == meet)
+    heading: intercept.Heading = "hold" if meet == "pass" else "path"
+    config = intercept.InterceptConfig(world=world, planner=known, predictor="noisy", meet=way, heading=heading)
     base = build_scenario(config, planner=elsewhere)
     if planner == "optimiser" and elsewhere is None:
         policy, settings = optimiser_policy(TIME_WEIGHT), base.planner.config
         own = build_planner(settings, world=base.world, vehicle=base.vehicle, policy=policy)
         base = dataclasses.replace(base, planner=own)
-    return dataclasses.replace(base, plant=_plant())
+    return dataclasses.replace(base, plant=_plant(), judged_by_heading=True)
 
 
 @functools.cache

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxplan.config import Meet
 from jaxplan.errors import InputError
 from jaxplan.feasibility.checkpoint import WEIGHTS as CLASSIFIERS
 from jaxplan.io.targets import stored_targets
@@ -55,6 +56,9 @@ class Config:
     episodes: int = 300
     """Episodes of a cell, chosen evenly among all combinations."""
 
+    meet: Meet = "pass"
+    """How targets are met: pass flies through them; rest stops at them, as in the paper."""
+
     seed: int = 0
     """Added to every episode's index to seed its noise."""
 
@@ -90,6 +94,7 @@ def chosen(config: Config) -> list[EpisodeConfig]:
                 speed=speeds[speed],
                 departure=departures[departure],
                 seed=config.seed + index,
+                meet=config.meet,
             )
         )
     return episodes
@@ -135,7 +140,7 @@ def items(config: Config) -> list[Item]:
 def prepare(config: Config, group: str) -> None:
     """Compile what the episodes of one planner call, in every world."""
     for world in dict.fromkeys(episode.world for episode in chosen(config)):
-        closed_loop.warm_up(world, group)
+        closed_loop.warm_up(world, group, config.meet)
 
 
 def evaluate(config: Config, item: Item) -> Row:

@@ -11,6 +11,10 @@ Predictor = Literal["none", "ground-truth", "noisy", "constant-velocity", "const
 PREDICTORS: tuple[Predictor, ...] = get_args(Predictor)
 Planner = Literal["no-policy", "pretrained", "mfrl"]
 PLANNERS: tuple[Planner, ...] = get_args(Planner)
+Meet = Literal["pass", "rest"]
+MEETINGS: tuple[Meet, ...] = get_args(Meet)
+Heading = Literal["hold", "path"]
+HEADINGS: tuple[Heading, ...] = get_args(Heading)
 
 _FASTEST_TARGET = 50.0
 """m/s; arbitrary, far above any vehicle here: a larger value is a mistake of units."""
@@ -38,6 +42,13 @@ class InterceptConfig:
     planner: Planner = "mfrl"
     """Who allots the times between waypoints; no-policy: distance / 2.5 m/s; pretrained: a policy that imitates the
     optimiser; mfrl: the same, reinforced, with the feasibility classifier in place of the rotor limits."""
+
+    meet: Meet = "pass"
+    """How the target is met: pass flies through it and stops behind it; rest stops at it, no faster than the policy
+    says, as in the paper."""
+
+    heading: Heading = "hold"
+    """Where the defender looks: hold keeps its yaw, path turns it along the path as in the paper."""
 
     speed: float | None = None
     """The target's maximum speed [m/s]. Default: 1 for a stored target, as recorded for a flight."""
@@ -69,6 +80,8 @@ class InterceptConfig:
             if self.predictor != "gmm":
                 raise _refusal("target-model", self.target_model, "none unless the predictor is gmm")
         _require_choice("planner", self.planner, PLANNERS)
+        _require_choice("meet", self.meet, MEETINGS)
+        _require_choice("heading", self.heading, HEADINGS)
         if self.speed is not None:
             _require_number("speed", self.speed, f"a number above 0 and at most {_FASTEST_TARGET:g} m/s")
             if not 0.0 < self.speed <= _FASTEST_TARGET:

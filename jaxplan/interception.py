@@ -69,7 +69,9 @@ class Flight(NamedTuple):
     position_error: Float[np.ndarray, "n"]
     """Metres from the reference."""
     yaw_error: Float[np.ndarray, "n"]
-    """Radians from the reference, 0 to pi."""
+    """Radians between the heading of body x and the reference's yaw, 0 to pi; says nothing near 90 degrees of tilt."""
+    twist_error: Float[np.ndarray, "n"]
+    """Radians about body z from the attitude that the reference demands, 0 to pi."""
     clearance: Float[np.ndarray, "n"]
     """Metres from the vehicle's centre to the nearest obstacle or face of the room."""
 
@@ -188,6 +190,7 @@ def _flight(ends: Float[np.ndarray, "n"], log: FlightLog, guide: Guide, scenario
         target_velocity=scenario.target.velocity(ends),
         position_error=np.asarray(log.position_error, dtype=float),
         yaw_error=np.asarray(log.yaw_error, dtype=float),
+        twist_error=np.asarray(log.twist_error, dtype=float),
         clearance=scenario.clearance(position),
     )
 
@@ -195,7 +198,8 @@ def _flight(ends: Float[np.ndarray, "n"], log: FlightLog, guide: Guide, scenario
 def _until_decided(flight: Flight, scenario: Scenario) -> tuple[Flight, str | None]:
     """The rows up to what decided the episode, and its outcome, if anything did. Failure comes before success."""
     apart = np.linalg.norm(flight.position - flight.target, axis=1)
-    tracked = (flight.position_error < SUCCESS.position) & (flight.yaw_error < SUCCESS.yaw)
+    turned = flight.yaw_error if scenario.judged_by_heading else flight.twist_error
+    tracked = (flight.position_error < SUCCESS.position) & (turned < SUCCESS.yaw)
     free = flight.clearance >= np.asarray(scenario.vehicle.radius).item()
     met = (apart < INTERCEPTION_RADIUS) & (flight.times >= scenario.departure)
     decided = ~tracked | ~free | met

@@ -21,8 +21,10 @@ def episode_metrics(episode: Episode) -> dict[str, Any]:
         "end_time_s": end,
         "departure_s": scenario.departure,
         "min_distance_m": float(apart.min()),
+        "meeting": _meeting(episode) if episode.success else None,
         "max_position_error_m": float(flight.position_error.max()),
         "max_yaw_error_deg": float(np.degrees(flight.yaw_error.max())),
+        "max_twist_error_deg": float(np.degrees(flight.twist_error.max())),
         "min_clearance_m": float(flight.clearance.min()),
         "max_speed_m_s": float(np.linalg.norm(flight.velocity, axis=1).max()),
         "target": {
@@ -43,6 +45,16 @@ def episode_metrics(episode: Episode) -> dict[str, Any]:
         "candidates": _candidates(episode),
         "seed": scenario.seed,
         "versions": installed_versions(),
+    }
+
+
+def _meeting(episode: Episode) -> dict[str, float]:
+    """How fast the defender and the target are at the end, and how fast they close in."""
+    own, other = episode.flight.velocity[-1], episode.flight.target_velocity[-1]
+    return {
+        "speed_m_s": float(np.linalg.norm(own)),
+        "target_speed_m_s": float(np.linalg.norm(other)),
+        "relative_speed_m_s": float(np.linalg.norm(own - other)),
     }
 
 

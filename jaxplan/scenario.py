@@ -8,6 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from jaxplan.arrival import ArrivalConfig
 from jaxplan.config import InterceptConfig
 from jaxplan.errors import InputError
 from jaxplan.feasibility.checkpoint import load_classifier
@@ -62,6 +63,8 @@ class Scenario:
     """Of the plant's noise."""
     clearance: DistanceFunction
     """Metres from the nearest obstacle or face of the room."""
+    judged_by_heading: bool = False
+    """Whether the heading of body x decides what counts as lost, as in the paper, or the turn about body z."""
     replanning: ReplannerConfig = ReplannerConfig()
     stream: StreamConfig = StreamConfig()
     """How what is seen of the target becomes observations."""
@@ -87,7 +90,7 @@ def build_scenario(config: InterceptConfig, *, exhaustive: bool = False, planner
     vehicle = load_vehicle()
     target = load_target(config.target, world=world.name, speed=config.speed)
     distance = _distance_in(world)
-    planning = PlannerConfig(exhaustive=exhaustive)
+    planning = planner_config(config, exhaustive)
     _check_target(target, world, distance)
     start = _start(config, world, target, planning.padding)
     _check_start(start, world, vehicle, distance)
@@ -110,6 +113,12 @@ def build_scenario(config: InterceptConfig, *, exhaustive: bool = False, planner
         clearance=distance,
         stream=StreamConfig(observations=prediction.observations, dt=prediction.dt),
     )
+
+
+def planner_config(config: InterceptConfig, exhaustive: bool = False) -> PlannerConfig:
+    """What a configuration asks of the planner; one that stops at the target is no faster than its policy says."""
+    usual = PlannerConfig(exhaustive=exhaustive, meet=config.meet, heading=config.heading)
+    return usual if config.meet == "pass" else dataclasses.replace(usual, arrival=ArrivalConfig())
 
 
 def predictor_for(config: InterceptConfig, world: World, target: Target) -> StepPredictor:

@@ -31,7 +31,7 @@ class CheckConfig:
     """Pieces into which the clearance check cuts a segment; more pieces give a tighter bound."""
     instants: int = 128
     """Instants of a trajectory, evenly spaced over its duration, at which the rotors are looked at."""
-    least_probability: float = 0.5
+    least_probability: float = 0.75
     """Probability of being tracked that a trajectory needs where a classifier decides instead of the rotor limits."""
 
     def __post_init__(self) -> None:

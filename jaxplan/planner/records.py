@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt32
 
 from jaxplan.arrival import ArrivalConfig
+from jaxplan.config import HEADINGS, MEETINGS, Heading, Meet
 from jaxplan.errors import InputError
 from jaxplan.knots import KnotConfig
 from jaxplan.minsnap.spline_batch import SplineBatch
@@ -21,9 +22,6 @@ from jaxplan.validation import require_at_least, require_one_of, require_positiv
 from jaxplan.world.obstacles import World
 from jaxplan.world.update import Change
 
-MEETINGS = ("pass", "rest")
-HEADINGS = ("hold", "path")
-
 
 @dataclasses.dataclass(frozen=True)
 class PlannerConfig:
@@ -37,9 +35,9 @@ class PlannerConfig:
     """Side of the finest cells [m] by which paths are searched; coarser where a room is too large."""
     narrow_passages: bool = True
     """Where no path keeps the padding, take one that keeps the vehicle's radius and the tracking margin (roadmap)."""
-    meet: str = "pass"
+    meet: Meet = "pass"
     """How a target is met: "pass" flies through the goal to a stop point behind it, "rest" stops at it (paper)."""
-    heading: str = "hold"
+    heading: Heading = "hold"
     """Where the vehicle looks: "hold" keeps its yaw, "path" turns it along the path."""
     max_yaw_rate: float = 1.5
     """Average yaw rate [rad/s] that a segment may ask for (docs/decisions/0010-yaw-rate.md)."""

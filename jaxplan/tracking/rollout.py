@@ -32,8 +32,10 @@ from jaxplan.tracking.plant import (
 )
 from jaxplan.tracking.se3 import se3
 from jaxplan.tracking.sensing import Controller
+from jaxplan.vehicle.flatness import demand_of
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.rotations import rotation_from_quat
+from jaxplan.vehicle.vectors import dot
 
 CONTROL_RATE = 200
 """Control steps per second, as in the MFRL evaluation."""
@@ -65,7 +67,10 @@ class FlightLog:
     position_error: Float[AnyArray, "*n"]
     """m, distance from the reference."""
     yaw_error: Float[AnyArray, "*n"]
-    """rad in [0, pi], between the heading of body x seen from above and the reference's yaw; not modulo pi."""
+    """rad in [0, pi], between the heading of body x seen from above and the reference's yaw; not modulo pi. Where body
+    x points up or down it says nothing."""
+    twist_error: Float[AnyArray, "*n"]
+    """rad in [0, pi], how far the vehicle is turned about body z from the attitude that the reference demands."""
     saturated: Bool[AnyArray, "*n"]
     """A rotor limit changed the command of this step."""
 
@@ -124,7 +129,7 @@ def build_plant(vehicle: Vehicle, *, noise: bool = True, controller: ControllerN
             return physics_step(cast, body, state, commands, draw, disturbance, time), None
 
         state, _ = jax.lax.scan(substep, state, draw)
-        return replace(state, step=state.step + 1), _log(state, target, saturated)
+        return replace(state, step=state.step + 1), _log(cast, state, target, saturated)
 
     def fly(
         state: PlantState, references: FlatState, disturbance: Disturbance | None = None
@@ -138,10 +143,13 @@ def build_plant(vehicle: Vehicle, *, noise: bool = True, controller: ControllerN
     return Plant(reset=float32_island(reset), fly=float32_island(fly))
 
 
-def _log(state: PlantState, target: FlatState, saturated: Bool[AnyArray, ""]) -> FlightLog:
+def _log(vehicle: Vehicle, state: PlantState, target: FlatState, saturated: Bool[AnyArray, ""]) -> FlightLog:
     """One row of the log; plain arithmetic, so that NaN stays NaN."""
-    ahead = rotation_from_quat(state.quat_wxyz)[:, 0]
-    heading = jnp.arctan2(ahead[1], ahead[0])
+    rotation = rotation_from_quat(state.quat_wxyz)
+    heading = jnp.arctan2(rotation[1, 0], rotation[0, 0])
+    (ax, ay, _) = demand_of(vehicle, target).axes
+    x, y = rotation[:, 0], rotation[:, 1]
+    twist = jnp.arctan2(dot(ay, x) - dot(ax, y), dot(ax, x) + dot(ay, y))
     return FlightLog(
         pos=state.pos,
         vel=state.vel,
@@ -150,5 +158,6 @@ def _log(state: PlantState, target: FlatState, saturated: Bool[AnyArray, ""]) ->
         rotor_speeds=state.rotor_speeds,
         position_error=jnp.sqrt(jnp.sum((state.pos - target.pos) ** 2)),
         yaw_error=jnp.abs(wrap_angle(heading - target.yaw[0])),
+        twist_error=jnp.abs(twist),
         saturated=saturated,
     )

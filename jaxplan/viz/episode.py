@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 # Okabe and Ito (2008): told apart with every common colour vision; line styles differ too.
 DEFENDER, TARGET, USABLE, REJECTED, MARK = "#0072B2", "#D55E00", "#009E73", "#8a8a8a", "#F0E442"
 
+COMMITTED = "#004D38"
+STOP: dict[str, Any] = {"marker": "P", "ls": "none", "color": COMMITTED, "markeredgecolor": "white", "ms": 8}
+
 POSITION_LIMIT, YAW_LIMIT = SUCCESS.position, math.degrees(SUCCESS.yaw)
 """m and degrees; beyond either tracking counts as lost."""
 
@@ -144,7 +147,8 @@ def _draw_candidates(axes: Axes, shown: CandidateCurves, first: int, second: int
             goals[:, first], goals[:, second], s=9, marker=marker, color=colour, linewidths=0.8, zorder=3 + usable
         )
     if shown.chosen is not None:
-        axes.plot(shown.chosen[:, first], shown.chosen[:, second], color=USABLE, lw=1.8, ls=":", zorder=4.5)
+        axes.plot(shown.chosen[:, first], shown.chosen[:, second], color=COMMITTED, lw=1.6, ls=":", zorder=6.5)
+        axes.plot(*shown.chosen[-1, [first, second]], **STOP, zorder=6.5)
 
 
 def _draw_speed(axes: Axes, episode: "Episode") -> None:
@@ -210,7 +214,8 @@ def _draw_legend(axes: Axes, episode: "Episode", shown: CandidateCurves | None, 
             (Line2D([], [], color=REJECTED, lw=1.2, marker="x", ms=4.5), f"rejected or outranked ({counts[1]})"),
         ]
         if shown.chosen is not None:
-            entries.append((Line2D([], [], color=USABLE, lw=1.8, ls=":"), "committed trajectory"))
+            entries.append((Line2D([], [], color=COMMITTED, lw=1.6, ls=":"), "committed then"))
+            entries.append((Line2D([], [], **STOP), "its stop point"))
     entries += [(Line2D([], [], ls="none"), line) for line in ("", *_numbers(metrics))]
     style = {"loc": "upper left", "frameon": False, "fontsize": 9.5, "labelspacing": 0.75, "borderaxespad": 0.0}
     axes.legend(*zip(*entries, strict=True), **style)

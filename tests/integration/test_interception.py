@@ -56,6 +56,7 @@ def test_default_episode_intercepts(episode):
     metrics = episode_metrics(episode)
     assert metrics["success"]
     assert metrics["min_distance_m"] < 0.4
+    assert metrics["meeting"]["relative_speed_m_s"] > metrics["meeting"]["speed_m_s"] - 1.5 > 0.0
     assert metrics["max_position_error_m"] < 0.4
     assert metrics["max_yaw_error_deg"] < 45.0
     assert metrics["min_clearance_m"] > float(episode.scenario.vehicle.radius)

@@ -32,6 +32,8 @@ BAD: list[dict[str, Any]] = [
     {"out": ""},
     {"predictor": "oracle"},
     {"planner": "policy"},
+    {"meet": "crash"},
+    {"heading": "down"},
 ]
 
 

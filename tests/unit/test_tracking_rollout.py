@@ -5,10 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import CompilationCounter
+from scipy.spatial.transform import Rotation
 
 from jaxplan.spline import FlatState, hover
 from jaxplan.tracking.plant import PlantState
 from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, Plant, build_plant
+from jaxplan.vehicle.flatness import differential_flatness
 from jaxplan.vehicle.load import load_vehicle
 from oracles import plant_references
 from tolerances import tolerance
@@ -92,6 +94,13 @@ def test_errors_are_those_of_the_logged_state(plant: Plant) -> None:
     heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     turn = np.abs(np.angle(np.exp(1j * (heading - references.yaw[1:, 0]))))
     np.testing.assert_allclose(log.yaw_error, turn, **tolerance("exact", np.float32))
+    demanded = jax.jit(jax.vmap(lambda state: differential_flatness(load_vehicle(), state).quat_wxyz))(references)
+    between = Rotation.from_quat(demanded[1:], scalar_first=True).inv() * Rotation.from_quat(
+        log.quat_wxyz, scalar_first=True
+    )
+    x, y, z, w = between.as_quat().T
+    twist = np.abs(np.angle(np.exp(2j * np.arctan2(z, w))))  # swing and twist
+    np.testing.assert_allclose(log.twist_error, twist, atol=1e-4)
     np.testing.assert_array_equal(final.pos, log.pos[-1])
     assert int(final.step) == len(TIMES) - 1
 
@@ -100,6 +109,7 @@ def test_flying_backwards_is_a_yaw_error_of_half_a_turn(quiet: Plant) -> None:
     state = quiet.reset(hover(np.zeros(3), yaw=np.pi), jax.random.key(0))
     _, log = quiet.fly(state, jax.tree.map(lambda leaf: np.zeros((21, *leaf.shape)), hover(np.zeros(3))))
     assert log.yaw_error[0] > np.radians(175.0)
+    assert log.twist_error[0] > np.radians(175.0)
 
 
 def test_the_same_seed_repeats_and_cutting_a_flight_in_two_changes_nothing(plant: Plant) -> None:

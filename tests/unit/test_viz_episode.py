@@ -83,6 +83,7 @@ def made_up_episode(world: World, outcome: str = "intercepted") -> Any:
         target_velocity=np.gradient(target, times, axis=0),
         position_error=0.08 * np.abs(np.sin(3.0 * times)),
         yaw_error=0.2 * np.abs(np.sin(2.0 * times)),
+        twist_error=0.1 * np.abs(np.sin(2.0 * times)),
     )
     return SimpleNamespace(
         outcome=outcome,
