@@ -17,6 +17,7 @@ from jaxplan.search.lattice import Lattices, Paths
 from jaxplan.search.routes import find_routes
 from jaxplan.search.stops import stop_points
 from jaxplan.spline import FlatState
+from jaxplan.status import Reason
 from jaxplan.world.obstacles import World
 
 GOALS_AT_ONCE = 512
@@ -78,8 +79,18 @@ class Parts(NamedTuple):
         return at_fixed_width(ask, np.arange(len(routes.count)), self.config.width)
 
     def check(self, state: FlatState, routes: Routes, durations: Float[AnyArray, "m k"]) -> Trajectories:
-        """Solved and checked trajectories, as many as the stations take."""
-        return self.stations.clear(self.world, self.stations.solve(state, routes, durations))
+        """Solved and checked trajectories, as many as the stations take, the preferred ones first.
+
+        The clearance is bounded from below, at first loosely: where that alone rejects one that comes before all that
+        pass, once more and tighter.
+        """
+        solved = self.stations.solve(state, routes, durations)
+        found = self.stations.clear(self.world, solved)
+        reasons = np.asarray(found.margins.reasons)
+        before = (np.cumsum(reasons == 0) == 0) | self.config.exhaustive
+        if (before & (reasons == np.uint32(Reason.CLEARANCE))).any():
+            found = self.stations.clear_finely(self.world, solved)
+        return found
 
     def check_all(self, state: FlatState, routes: Routes, durations: Float[np.ndarray, "m k"]) -> Trajectories:
         """Solved and checked trajectories, any number of them."""

@@ -18,11 +18,12 @@ from jaxplan.search.lattice import METHODS
 from jaxplan.selection import CheckConfig, Margins
 from jaxplan.selection import select as select_best
 from jaxplan.spline import FlatState, PiecewisePolynomial
-from jaxplan.validation import require_at_least, require_one_of, require_positive, require_within
+from jaxplan.validation import checks_itself, require_at_least, require_one_of, require_positive, require_within
 from jaxplan.world.obstacles import World
 from jaxplan.world.update import Change
 
 
+@checks_itself
 @dataclasses.dataclass(frozen=True)
 class PlannerConfig:
     """Every setting of the planner, in SI units."""

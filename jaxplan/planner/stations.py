@@ -4,6 +4,8 @@ The world is an argument of the two stations that see it, not a constant: a dist
 the other stations serve every world.
 """
 
+import dataclasses
+import functools
 from typing import NamedTuple, Protocol
 
 import jax
@@ -20,7 +22,7 @@ from jaxplan.numerics import safe_norm
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.policy.protocol import Policy
 from jaxplan.prediction.candidates import Candidates, reject_early
-from jaxplan.selection import Margins, check_clearance, check_flight
+from jaxplan.selection import CheckConfig, Margins, check_clearance, check_flight
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason, bit
 from jaxplan.vehicle.params import Vehicle
@@ -29,6 +31,8 @@ from jaxplan.world.obstacles import World
 
 LENGTHS = (7, MAX_WAYPOINTS)
 """Waypoints of the sequences that are compiled: most replans have no longer one than the first."""
+FINER = 4
+"""By how much the second clearance check cuts segments into more pieces than the first (arbitrary)."""
 
 
 class Routes(NamedTuple):
@@ -100,6 +104,8 @@ class Stations(NamedTuple):
     match: Match
     solve: Solve
     clear: Clear
+    clear_finely: Clear
+    """The same from more samples: a tighter bound, for what only the first one's looseness rejects."""
 
 
 def compile_stations(
@@ -145,12 +151,13 @@ def compile_stations(
             splines, check_flight(splines, jnp.asarray(routes.samples), vehicle, config.checks, probability)
         )
 
-    @jax.jit
-    def clear(world: World, trajectories: Trajectories) -> Trajectories:
+    def clear(world: World, trajectories: Trajectories, checks: CheckConfig) -> Trajectories:
         splines, margins = trajectories
-        return Trajectories(splines, check_clearance(margins, splines, world, vehicle, config.checks))
+        return Trajectories(splines, check_clearance(margins, splines, world, vehicle, checks))
 
-    return Stations(reject, route, match, solve, clear)
+    fine = dataclasses.replace(config.checks, samples_per_segment=FINER * config.checks.samples_per_segment)
+    clear_by = [jax.jit(functools.partial(clear, checks=checks)) for checks in (config.checks, fine)]
+    return Stations(reject, route, match, solve, *clear_by)
 
 
 def shortened(routes: Routes) -> Routes:

@@ -28,7 +28,8 @@ def _compile(stations: Stations, world: World, state: FlatState, whole: Routes, 
     """Call the stations, each with what the one before it returns."""
     routes = cut(whole, length)
     arrival = stations.match(state, routes, np.zeros(len(routes.count)), np.ones(len(routes.count)))
-    jax.block_until_ready(stations.clear(world, stations.solve(state, routes, arrival.durations)))
+    solved = stations.solve(state, routes, arrival.durations)
+    jax.block_until_ready([clear(world, solved) for clear in (stations.clear, stations.clear_finely)])
 
 
 @contextlib.contextmanager

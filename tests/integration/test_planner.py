@@ -3,6 +3,7 @@
 import dataclasses
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -16,6 +17,7 @@ from jaxplan.prediction.candidates import candidates_from
 from jaxplan.prediction.observations import first_observation
 from jaxplan.records import replace
 from jaxplan.replanner import Replanner
+from jaxplan.selection import CheckConfig, check_clearance
 from jaxplan.spline import FlatState, hover
 from jaxplan.status import PlanStatus, Reason
 from jaxplan.vehicle.load import load_vehicle
@@ -78,6 +80,28 @@ def test_usable_plans_keep_every_promise(planner, world, moving):
             free = np.asarray(free_distance(world, points))
         assert free.min() >= load_vehicle().radius + CONFIG.checks.tracking_margin
     assert sum(distance > 0.4 for distance in behind) >= 2
+
+
+def test_the_looseness_of_a_bound_rejects_nobody(world, moving):
+    """What a check by few samples doubts is looked at again by four times as many, which decides."""
+    vehicle, checks = load_vehicle(), CheckConfig(samples_per_segment=4)
+    config = dataclasses.replace(CONFIG, checks=checks, exhaustive=True)
+    planner = build_planner(config, world=world, vehicle=vehicle, policy=constant_speed_policy())
+    changed = 0
+    for seed in range(4):
+        plans = planner.plan_batch(moving, candidates(36, seed))
+        with jax.enable_x64(True):
+            splines = jax.tree.map(jnp.asarray, plans.splines)
+            loose, tight = (
+                np.asarray(check_clearance(plans.margins, splines, world, vehicle, some).clearance)
+                for some in (checks, dataclasses.replace(checks, samples_per_segment=16))
+            )
+        least = vehicle.radius + checks.tracking_margin
+        others = np.asarray(plans.margins.reasons) & ~np.uint32(Reason.CLEARANCE)
+        passed = np.asarray(plans.margins.reasons) == 0
+        np.testing.assert_array_equal(passed, (others == 0) & (tight >= least))
+        changed += int((passed & (loose < least)).sum())
+    assert changed >= 1
 
 
 def test_at_rest_at_the_goal_where_that_is_wanted(world, moving):
