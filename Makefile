@@ -10,7 +10,7 @@ PYTEST_ARGS ?= -n 2 --dist loadfile --no-loadscope-reorder
 JAX_TESTS = $(wildcard tests/unit/test_minsnap_*.py tests/unit/test_spline*.py tests/unit/test_tracking_*.py \
     tests/unit/test_vehicle_*.py) $(addprefix tests/unit/test_, arrival.py feasibility.py knots.py policy.py \
     prediction_mixture.py selection.py world_clearance.py) $(addprefix tests/integration/test_, canaries.py docs.py \
-    planner.py plant_tools.py)
+    planner.py replanner.py plant_tools.py)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxplan.errors import InputError
 from jaxplan.planner import Approaches, Planner, Plans, Timer, select, select_approach
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.prediction.observations import Observations
@@ -94,6 +95,7 @@ class Replanner:
         self._predictor = predictor
         self.plans: list[CommittedPlan] = [_hold(start)]
         self._cycles = 0
+        self._last = -np.inf
 
     @property
     def ever_planned(self) -> bool:
@@ -123,8 +125,14 @@ class Replanner:
         return FlatState(derivatives=states.derivatives[0], yaw=states.yaw[0])
 
     def step(self, now: float, observations: Observations) -> Cycle:
-        """Predict, plan and decide at time ``now`` [s] from the newest observations."""
-        timer = Timer()
+        """Predict, plan and decide at time ``now`` [s] from the newest observations.
+
+        Raises:
+            InputError: ``now`` is not finite or before the last cycle; nothing is decided then.
+        """
+        if not np.isfinite(now) or now < self._last:
+            raise InputError(f"replanner: now is {now} s, want a finite time from {self._last} s on, the last cycle's")
+        timer, self._last = Timer(), now
         takeover = now + self.config.latency
         state = self._reference_at(takeover)
         predicted = self._predictor(observations, self._cycles)

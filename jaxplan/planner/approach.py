@@ -7,6 +7,7 @@ comes to rest behind it, or, as a second choice, at the goal.
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxplan.planner.border import usual_candidates, usual_state
 from jaxplan.planner.parts import Parts
 from jaxplan.planner.records import Approaches
 from jaxplan.planner.stations import Routes, no_trajectories
@@ -22,6 +23,7 @@ PACES = (0.75, 0.82, 0.9, 1.0, 1.15, 1.4, 2.0, 3.0)
 
 def approach(parts: Parts, state: FlatState, candidates: Candidates) -> Approaches:
     """Trajectories towards the latest candidates, for when none can be met."""
+    state, candidates = usual_state(state), usual_candidates(candidates)
     table = reject(parts, state, table_of(candidates, parts.config.likelihood_weight))
     rows = _latest_goals(table)
     meetings = (True, False) if parts.config.meet == "pass" else (False,)

@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxplan.feasibility.classifier import Classifier
 from jaxplan.planner.approach import approach
+from jaxplan.planner.border import usual_candidates, usual_state
 from jaxplan.planner.parts import Parts
 from jaxplan.planner.records import Planner, PlannerConfig, Plans
 from jaxplan.planner.stations import compile_stations
@@ -96,6 +97,7 @@ def _on_device(world: World) -> World:
 
 def plan_batch(parts: Parts, state: FlatState, candidates: Candidates, timer: Timer | None = None) -> Plans:
     """One replan: trajectories from one state timed to meet each candidate (paper, Sec. III-B)."""
+    state, candidates = usual_state(state), usual_candidates(candidates)
     timer = timer or Timer()
     table = reject(parts, state, table_of(candidates, parts.config.likelihood_weight))
     timer.lap("reject")
@@ -130,6 +132,7 @@ def _until_one_passes(parts: Parts, state: FlatState, table: Table, rows: Rows, 
 
 def _warmup(parts: Parts, state: FlatState) -> None:
     """Compile every station, then run the whole chain once."""
+    state = usual_state(state)
     warm_up_search(parts.lattices, parts.world, parts.config.path_capacity)
     compile_all(parts.stations, parts.world, parts.config, state)
     candidates = _candidates_around(state, parts.config.width)

@@ -133,7 +133,10 @@ class PlanBatch(Protocol):
     """Trajectories from one state timed to meet each candidate (paper, Sec. III-B)."""
 
     def __call__(self, state: FlatState, candidates: Candidates, timer: Timer | None = None) -> Plans:
-        """``state`` in float64; ``timer`` collects the milliseconds of the stations."""
+        """``state`` is cast to float64; ``timer`` collects the milliseconds of the stations.
+
+        Raises ``InputError`` for a state that is not finite, and for arrays of other shapes.
+        """
 
 
 class Approach(Protocol):

@@ -1,0 +1,110 @@
+"""The loop around the planner, in environment 1: what is committed, and that it never jumps."""
+
+import numpy as np
+import pytest
+
+from jaxplan.errors import InputError
+from jaxplan.knots import KnotConfig
+from jaxplan.planner import PlannerConfig, build_planner
+from jaxplan.policy.constant_speed import constant_speed_policy
+from jaxplan.prediction.candidates import candidates_from
+from jaxplan.prediction.observations import first_observation
+from jaxplan.replanner import Replanner
+from jaxplan.spline import hover
+from jaxplan.status import PlanStatus
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.world.load import load_world
+from tolerances import tolerance
+
+START = np.array([-4.3, -4.3, 1.0])
+CONFIG = PlannerConfig(width=16, knots=KnotConfig(distance_per_knot=1.0))
+
+
+@pytest.fixture(scope="module")
+def planner():
+    return build_planner(CONFIG, world=load_world("env1"), vehicle=load_vehicle(), policy=constant_speed_policy())
+
+
+class Script:
+    """A predictor that plays one answer after another."""
+
+    def __init__(self, *answers):
+        self.answers = list(answers)
+
+    def __call__(self, observations, cycle):
+        return self.answers[min(cycle, len(self.answers) - 1)]
+
+
+def near(goal, time, likelihood=0.0):
+    return candidates_from(goal, np.array([goal]), np.array([time]), np.array([likelihood]))
+
+
+def run(planner, predictor, cycles):
+    replanner = Replanner(planner, predictor, hover(START))
+    seen = first_observation(0.0, START)
+    return replanner, [replanner.step(0.1 * k, seen) for k in range(cycles)]
+
+
+def test_commands_never_jump_and_end_at_rest(planner):
+    goal = np.array([-4.0, -1.0, 1.0])
+    answers = [near(goal + np.array([0.0, 0.1 * k, 0.0]), 3.0) for k in range(8)]
+    replanner, cycles = run(planner, Script(*answers), 8)
+    jumps = np.array([cycle.jump for cycle in cycles if cycle.jump is not None])
+    assert len(jumps) >= 2
+    assert jumps[:, :4].max() <= 1e-6
+    assert jumps[:, 4].max() <= 1e-6
+    late = replanner.reference(np.array([100.0]))
+    np.testing.assert_allclose(late.derivatives[0, 1:], 0.0, atol=1e-4)
+    times = np.linspace(0, 5, 5001)
+    speed = np.linalg.norm(replanner.reference(times).vel, axis=1)
+    steps = np.linalg.norm(np.diff(replanner.reference(times).pos, axis=0), axis=1)
+    assert (steps <= 0.001 * np.maximum(speed[:-1], speed[1:]) + 1e-4).all()
+
+
+def test_committed_interception_survives_cycles_without_a_candidate(planner):
+    goal = np.array([-4.0, -1.0, 1.0])
+    nothing = candidates_from(goal, np.full((2, 3), np.nan), np.ones(2), np.zeros(2))
+    replanner, cycles = run(planner, Script(near(goal, 3.0), nothing), 5)
+    assert cycles[0].status is PlanStatus.INTERCEPT
+    assert [cycle.status for cycle in cycles[1:]] == [PlanStatus.NO_CANDIDATE] * 4
+    assert len(replanner.plans) == 2
+    np.testing.assert_allclose(replanner.reference(np.array([3.0])).pos[0], goal, **tolerance("solve"))
+
+
+@pytest.mark.parametrize("now", [np.nan, np.inf, 0.05])
+def test_a_clock_that_goes_back_or_stops_making_sense_is_refused(planner, now):
+    replanner = Replanner(planner, Script(near(np.array([-4.0, -1.0, 1.0]), 3.0)), hover(START))
+    seen = first_observation(0.0, START)
+    replanner.step(0.1, seen)
+    before = len(replanner.plans)
+    with pytest.raises(InputError, match="now"):
+        replanner.step(now, seen)
+    assert len(replanner.plans) == before
+    replanner.step(0.1, seen)
+
+
+@pytest.mark.parametrize("samples", [1, 20])
+@pytest.mark.parametrize("offset", [0.0, 0.1])
+def test_a_committed_interception_is_recognised_between_two_predicted_steps(planner, samples, offset):
+    """In large rooms predictions are 0.2 s apart and replans 0.1 s: every second cycle falls between two steps."""
+    replanner = Replanner(planner, Script(), hover(START))
+    position, velocity = np.array([0.0, 1.0, 1.0]), np.array([5.0, -1.0, 0.2])
+    held = replanner.committed
+    replanner.plans.append(held._replace(goal=position, arrival_time=2.0 + offset, status=PlanStatus.INTERCEPT))
+    steps = np.repeat(0.2 * np.arange(1, 21), samples)
+    noise = 0.05 * np.random.default_rng(0).normal(size=(len(steps), 3)) * (samples > 1)
+    goals = position + (steps - 2.0 - offset)[:, None] * velocity + noise
+    expected = candidates_from(position, goals, steps, np.zeros(len(steps)))
+    score = replanner._incumbent_score(expected, 0.0)
+    assert score == pytest.approx(1.0 - 2.0 - offset)
+    elsewhere = candidates_from(position, goals + np.array([0.0, 0.4, 0.0]), steps, np.zeros(len(steps)))
+    assert replanner._incumbent_score(elsewhere, 0.0) == -np.inf
+
+
+def test_unreachable_target_is_approached(planner):
+    far = np.array([4.0, 4.0, 1.0])
+    replanner, cycles = run(planner, Script(near(far, 0.5)), 3)
+    assert cycles[0].status is PlanStatus.APPROACH
+    end = replanner.committed.spline.state(float(replanner.committed.spline.duration))
+    assert np.linalg.norm(end.pos - far) < np.linalg.norm(START - far) - 1.0
+    np.testing.assert_allclose(end.derivatives[1:], 0.0, atol=1e-4)
