@@ -33,6 +33,9 @@ class ReplannerConfig:
     """Seconds between two cycles (paper: about 10 Hz)."""
     latency: float = 0.1
     """Seconds from a cycle's observations until its plan takes over; a longer computation counts as late."""
+    drop_late: bool = False
+    """Whether a plan that took longer than the latency to compute is dropped: with a real vehicle it would be spliced
+    into the past. Off in simulation, whose results are not to depend on the machine."""
     keep_radius: float = 0.2
     """A committed interception stays one while the target is still predicted this close [m] to its goal."""
 
@@ -141,6 +144,9 @@ class Replanner:
         timer.lap("predict", predicted)
         plans = self.planner.plan_batch(state, candidates, timer)
         status, chosen = self._decide(state, candidates, plans, takeover, timer)
+        timer.lap("select")
+        if chosen is not None and self.config.drop_late and timer.total > 1e3 * self.config.latency:
+            status, chosen = PlanStatus.LATE, None
         jump = None if chosen is None else self._commit(chosen, takeover, status, state)
         timer.lap("select")
         return Cycle(

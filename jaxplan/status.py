@@ -76,6 +76,8 @@ class PlanStatus(enum.IntEnum):
     """No candidate can even be approached; the committed trajectory stays."""
     TARGET_LOST = 5
     """The target has been silent for too long; the committed trajectory stays."""
+    LATE = 6
+    """A better trajectory was ready only after it would have had to take over; the committed one stays."""
 
 
 def bit(bad: Bool[Array, "*batch"], reason: enum.IntFlag) -> UInt32[Array, "*batch"]:

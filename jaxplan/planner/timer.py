@@ -13,6 +13,11 @@ class Timer:
         self.stages: dict[str, float] = {}
         self._last = time.perf_counter()
 
+    @property
+    def total(self) -> float:
+        """All laps together [ms]."""
+        return sum(self.stages.values())
+
     def lap(self, stage: str, result: Any = None) -> None:
         """Add the time since the last lap to ``stage``, once ``result`` has been computed."""
         jax.block_until_ready(result)

@@ -1,5 +1,7 @@
 """The loop around the planner, in environment 1: what is committed, and that it never jumps."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from jaxplan.planner import PlannerConfig, build_planner
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
 from jaxplan.prediction.observations import first_observation
-from jaxplan.replanner import Replanner
+from jaxplan.replanner import Replanner, ReplannerConfig
 from jaxplan.spline import hover
 from jaxplan.status import PlanStatus
 from jaxplan.vehicle.load import load_vehicle
@@ -33,6 +35,29 @@ class Script:
 
     def __call__(self, observations, cycle):
         return self.answers[min(cycle, len(self.answers) - 1)]
+
+
+class Slow(Script):
+    """The same, after a while."""
+
+    def __call__(self, observations, cycle):
+        time.sleep(0.15)
+        return super().__call__(observations, cycle)
+
+
+@pytest.mark.parametrize("drop", [False, True])
+def test_a_plan_that_is_ready_too_late_is_dropped_where_that_is_wanted(planner, drop):
+    config = ReplannerConfig(latency=0.1, drop_late=drop)
+    answer = near(np.array([-4.0, -1.0, 1.0]), 3.0)
+    seen = first_observation(0.0, START)
+    Replanner(planner, Script(answer), hover(START)).step(0.0, seen)  # compiles
+    replanner = Replanner(planner, Slow(answer), hover(START), config)
+    cycle = replanner.step(0.0, seen)
+    assert cycle.status is (PlanStatus.LATE if drop else PlanStatus.INTERCEPT)
+    assert len(replanner.plans) == (1 if drop else 2)
+    assert (cycle.jump is None) == drop
+    patient = Replanner(planner, Script(answer), hover(START), ReplannerConfig(latency=20.0, drop_late=True))
+    assert patient.step(0.0, seen).status is not PlanStatus.LATE
 
 
 def near(goal, time, likelihood=0.0):
