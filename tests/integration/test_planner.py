@@ -129,7 +129,7 @@ def test_meetings_that_cannot_be_are_refused(options, said):
         PlannerConfig(**options)
 
 
-@pytest.mark.parametrize(("heading", "turns"), [("hold", False), ("path", True)])
+@pytest.mark.parametrize(("heading", "turns"), [("hold", False), pytest.param("path", True, marks=pytest.mark.slow)])
 def test_the_heading_is_held_or_follows_the_path(world, heading, turns):
     config = dataclasses.replace(CONFIG, heading=heading)
     planner = build_planner(config, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())

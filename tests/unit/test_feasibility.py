@@ -275,6 +275,7 @@ def test_calibration_undoes_a_wrong_scale_and_offset():
         assert np.corrcoef(before, after)[0, 1] > 0.99
 
 
+@pytest.mark.slow
 def test_gradients_reach_the_durations():
     points, derivatives, yaw, durations = random_flights()
     classifier = make_classifier(random_model())

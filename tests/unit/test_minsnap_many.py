@@ -32,7 +32,9 @@ def random_batch(seed=0, width=7, segments=SEGMENTS):
     return waypoints, durations, rng.normal(size=(4, 3, width))
 
 
-@pytest.mark.parametrize(("terminal", "fixed_order"), [("rest", 4), ("free", 3), ("moving", 4)])
+@pytest.mark.parametrize(
+    ("terminal", "fixed_order"), [pytest.param("rest", 4, marks=pytest.mark.slow), ("free", 3), ("moving", 4)]
+)
 def test_every_lane_equals_the_single_solver(terminal, fixed_order):
     waypoints, durations, initial = random_batch(width=4)
     goal = np.random.default_rng(9).normal(size=(4, 3, 4)) if terminal == "moving" else terminal

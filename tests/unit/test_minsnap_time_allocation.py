@@ -91,6 +91,7 @@ def test_minimum_time_is_feasible_and_cannot_be_shortened(moving):
         assert not inside(0.97 * found.durations[:, lane], lane)
 
 
+@pytest.mark.slow
 def test_mixed_lengths_and_a_bad_lane_do_not_disturb_the_others():
     waypoints, counts = random_waypoints(4), np.array([5, 3, 1, 5])
     alone = [

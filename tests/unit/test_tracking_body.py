@@ -25,6 +25,7 @@ def lopsided() -> Vehicle:
 
 
 VEHICLES = {"mfrl": load_vehicle(), "flightgoggles": load_vehicle("flightgoggles"), "lopsided": lopsided()}
+SLOW = ("flightgoggles", "lopsided")
 
 
 def inputs() -> Inputs:
@@ -44,7 +45,7 @@ def stepped(body: Body, *given: object) -> Motion:
     return jax.jit(jax.vmap(lambda motion, *forces: body(motion, *forces)))(*given)
 
 
-@pytest.mark.parametrize("name", VEHICLES)
+@pytest.mark.parametrize("name", ["mfrl", *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)])
 def test_a_step_is_that_of_mjx_in_float64(name: str) -> None:
     with jax.enable_x64(True), jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         ours = stepped(vehicle_body(VEHICLES[name], float64=True), *inputs())
