@@ -46,9 +46,11 @@ def recorded_cycles(scenario: Scenario, departures: Sequence[float]) -> list[tup
     kept: list[tuple[FlatState, Candidates]] = []
     planner = scenario.planner
 
-    def recording(state: FlatState, candidates: Candidates, timer: Timer | None = None) -> Plans:
+    def recording(
+        state: FlatState, candidates: Candidates, timer: Timer | None = None, above: float = -np.inf
+    ) -> Plans:
         kept.append((state, jax.tree.map(np.asarray, candidates)))
-        return planner.plan_batch(state, candidates, timer)
+        return planner.plan_batch(state, candidates, timer, above)
 
     recorded = dataclasses.replace(scenario, planner=planner._replace(plan_batch=recording))
     for seed, departure in enumerate(departures):

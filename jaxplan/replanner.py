@@ -142,8 +142,9 @@ class Replanner:
         self._cycles += 1
         candidates = replace(predicted, arrival_times=np.asarray(predicted.arrival_times) - self.config.latency)
         timer.lap("predict", predicted)
-        plans = self.planner.plan_batch(state, candidates, timer)
-        status, chosen = self._decide(state, candidates, plans, takeover, timer)
+        incumbent = self._incumbent_score(candidates, takeover)
+        plans = self.planner.plan_batch(state, candidates, timer, incumbent)
+        status, chosen = self._decide(state, candidates, plans, incumbent, timer)
         timer.lap("select")
         if chosen is not None and self.config.drop_late and timer.total > 1e3 * self.config.latency:
             status, chosen = PlanStatus.LATE, None
@@ -162,10 +163,10 @@ class Replanner:
         )
 
     def _decide(
-        self, state: FlatState, candidates: Candidates, plans: Plans, takeover: float, timer: Timer
+        self, state: FlatState, candidates: Candidates, plans: Plans, incumbent: float, timer: Timer
     ) -> tuple[PlanStatus, _Chosen | None]:
         """The ladder: a better interception, the committed one, an approach, whatever is committed."""
-        best, incumbent = select(plans), self._incumbent_score(candidates, takeover)
+        best = select(plans)
         if best >= 0 and plans.score[best] > incumbent:
             return PlanStatus.INTERCEPT, _Chosen(plans, best, float(plans.alpha[best]))
         if np.isfinite(incumbent):

@@ -95,7 +95,9 @@ def _on_device(world: World) -> World:
     return jax.device_put(replace(world, name="", provenance=""))
 
 
-def plan_batch(parts: Parts, state: FlatState, candidates: Candidates, timer: Timer | None = None) -> Plans:
+def plan_batch(
+    parts: Parts, state: FlatState, candidates: Candidates, timer: Timer | None = None, above: float = -np.inf
+) -> Plans:
     """One replan: trajectories from one state timed to meet each candidate (paper, Sec. III-B)."""
     state, candidates = usual_state(state), usual_candidates(candidates)
     timer = timer or Timer()
@@ -109,17 +111,22 @@ def plan_batch(parts: Parts, state: FlatState, candidates: Candidates, timer: Ti
         timer.lap("knots")
         table = bound(parts, state, table, rows)
         timer.lap("policy")
-        table = _until_one_passes(parts, state, table, rows if parts.config.exhaustive else table.best_first(), timer)
+        order = rows if parts.config.exhaustive else table.best_first()
+        table = _until_one_passes(parts, state, table, order, timer, above)
     plans = table.plans()
     timer.lap("select")
     return plans
 
 
-def _until_one_passes(parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Timer) -> Table:
-    """Match, solve and check ``rows`` in their order, in rounds, until a round has a usable one."""
+def _until_one_passes(parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Timer, above: float) -> Table:
+    """Match, solve and check ``rows`` in their order, in rounds, until a round has a usable one.
+
+    Rows whose score is not ``above`` that of a plan that is there already cannot win and are left out.
+    """
     width = parts.config.width
-    for begin in range(0, len(rows), width):
-        some = rows[begin : begin + width]
+    wanted = rows if parts.config.exhaustive else rows[table.score[rows] > above]
+    for begin in range(0, len(wanted), width):
+        some = wanted[begin : begin + width]
         table = match(parts, state, table, some)
         timer.lap("policy", table.matched)
         table = check(parts, state, table)

@@ -132,8 +132,12 @@ def select_approach(approaches: Approaches) -> int:
 class PlanBatch(Protocol):
     """Trajectories from one state timed to meet each candidate (paper, Sec. III-B)."""
 
-    def __call__(self, state: FlatState, candidates: Candidates, timer: Timer | None = None) -> Plans:
+    def __call__(
+        self, state: FlatState, candidates: Candidates, timer: Timer | None = None, above: float = -np.inf
+    ) -> Plans:
         """``state`` is cast to float64; ``timer`` collects the milliseconds of the stations.
+
+        Only candidates with a score ``above`` that of a plan that is committed already are of interest.
 
         Raises ``InputError`` for a state that is not finite, and for arrays of other shapes.
         """

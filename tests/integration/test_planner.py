@@ -168,6 +168,17 @@ def test_taking_the_best_first_finds_the_winner_of_an_exhaustive_evaluation(worl
     assert max(rounds) > 0
 
 
+def test_what_cannot_beat_a_committed_plan_is_left_out(planner, moving):
+    """And nothing else changes: what is above the score is planned as without."""
+    given = candidates(36)
+    plans = planner.plan_batch(moving, given)
+    best = select(plans)
+    score = float(plans.score[best])
+    assert select(planner.plan_batch(moving, given, None, score)) == -1
+    assert select(planner.plan_batch(moving, given, None, score - 1e-6)) == best
+    assert (planner.plan_batch(moving, given, None, np.inf).trajectory == -1).all()
+
+
 def replace_config(exhaustive):
     return PlannerConfig(width=32, knots=KnotConfig(distance_per_knot=1.0), exhaustive=exhaustive)
 
