@@ -32,7 +32,7 @@ from jaxplan.tracking.plant import (
 )
 from jaxplan.tracking.se3 import se3
 from jaxplan.tracking.sensing import Controller
-from jaxplan.vehicle.flatness import demand_of
+from jaxplan.vehicle.flatness import against_drag, demand_of
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.rotations import rotation_from_quat
 from jaxplan.vehicle.vectors import dot
@@ -70,7 +70,8 @@ class FlightLog:
     """rad in [0, pi], between the heading of body x seen from above and the reference's yaw; not modulo pi. Where body
     x points up or down it says nothing."""
     twist_error: Float[AnyArray, "*n"]
-    """rad in [0, pi], how far the vehicle is turned about body z from the attitude that the reference demands."""
+    """rad in [0, pi], how far the vehicle is turned about body z from the attitude that the reference demands against
+    the drag of still air."""
     saturated: Bool[AnyArray, "*n"]
     """A rotor limit changed the command of this step."""
 
@@ -147,7 +148,7 @@ def _log(vehicle: Vehicle, state: PlantState, target: FlatState, saturated: Bool
     """One row of the log; plain arithmetic, so that NaN stays NaN."""
     rotation = rotation_from_quat(state.quat_wxyz)
     heading = jnp.arctan2(rotation[1, 0], rotation[0, 0])
-    (ax, ay, _) = demand_of(vehicle, target).axes
+    (ax, ay, _) = demand_of(vehicle, against_drag(vehicle, target)).axes
     x, y = rotation[:, 0], rotation[:, 1]
     twist = jnp.arctan2(dot(ay, x) - dot(ax, y), dot(ax, x) + dot(ay, y))
     return FlightLog(

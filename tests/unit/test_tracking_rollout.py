@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from jaxplan.spline import FlatState, hover
 from jaxplan.tracking.plant import PlantState
 from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, Plant, build_plant
-from jaxplan.vehicle.flatness import differential_flatness
+from jaxplan.vehicle.flatness import against_drag, differential_flatness
 from jaxplan.vehicle.load import load_vehicle
 from oracles import plant_references
 from tolerances import tolerance
@@ -94,7 +94,9 @@ def test_errors_are_those_of_the_logged_state(plant: Plant) -> None:
     heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     turn = np.abs(np.angle(np.exp(1j * (heading - references.yaw[1:, 0]))))
     np.testing.assert_allclose(log.yaw_error, turn, **tolerance("exact", np.float32))
-    demanded = jax.jit(jax.vmap(lambda state: differential_flatness(load_vehicle(), state).quat_wxyz))(references)
+    demanded = jax.jit(
+        jax.vmap(lambda state: differential_flatness(load_vehicle(), against_drag(load_vehicle(), state)).quat_wxyz)
+    )(references)
     between = Rotation.from_quat(demanded[1:], scalar_first=True).inv() * Rotation.from_quat(
         log.quat_wxyz, scalar_first=True
     )
