@@ -22,6 +22,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
+from jaxplan.arrays import AnyArray, namespace
 from jaxplan.spline import FlatState, FlatStateBatch
 from jaxplan.status import Reason, bit
 from jaxplan.validation import require_between, require_within
@@ -128,12 +129,13 @@ def match_arrival(
     return Arrival(jnp.where(met[None], exact, end.durations), alpha, least * jnp.exp(first)[None], reasons, end.calls)
 
 
-def time_to(durations: Float[Array, "m k"], meet: Int[Array, "k"] | None) -> Float[Array, "k"]:
-    """Seconds from the start to waypoint number ``meet`` of each sequence; to the last one when omitted."""
+def time_to(durations: Float[AnyArray, "m k"], meet: Int[AnyArray, "k"] | None) -> Float[AnyArray, "k"]:
+    """Seconds from the start to waypoint number ``meet`` of each sequence; to the last one without any."""
+    xp = namespace(durations, meet)
     if meet is None:
-        return jnp.sum(durations, axis=0)
-    before = jnp.arange(durations.shape[0], dtype=meet.dtype)[:, None] < meet[None]
-    return jnp.sum(jnp.where(before, durations, 0.0), axis=0)
+        return xp.sum(durations, axis=0)
+    before = xp.arange(durations.shape[0], dtype=meet.dtype)[:, None] < meet[None]
+    return xp.sum(xp.where(before, durations, 0.0), axis=0)
 
 
 def sped_up(initial: FlatState | FlatStateBatch, alpha: Float[Array, "k"]) -> FlatStateBatch:

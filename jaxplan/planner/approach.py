@@ -7,11 +7,12 @@ comes to rest behind it, or, as a second choice, at the goal.
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxplan.arrival import time_to
 from jaxplan.planner.border import usual_candidates, usual_state
 from jaxplan.planner.parts import Parts
 from jaxplan.planner.records import Approaches
 from jaxplan.planner.stations import Routes, no_trajectories
-from jaxplan.planner.table import Table, reject, table_of, times_to
+from jaxplan.planner.table import Table, reject, table_of
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason
@@ -36,7 +37,7 @@ def approach(parts: Parts, state: FlatState, candidates: Candidates) -> Approach
         routes = parts.route(paths, member, passing)
         durations = parts.durations_at(state, routes, alpha)
         found = parts.check_all(state, routes, durations)
-        arrival = times_to(durations, routes.meet) * _left_out(routes, paths.length[member])
+        arrival = np.asarray(time_to(durations, np.asarray(routes.meet))) * _left_out(routes, paths.length[member])
         missing = paths.reasons & ~np.uint32(Reason.PREFIX_ONLY)
         reasons = np.asarray(found.margins.reasons) | missing[member]
     return Approaches(

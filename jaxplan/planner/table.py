@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int, UInt32
 
-from jaxplan.arrays import AnyArray
-from jaxplan.arrival import Arrival
+from jaxplan.arrival import Arrival, time_to
 from jaxplan.batching import fill, join, pick
 from jaxplan.planner.parts import Parts
 from jaxplan.planner.records import Plans
@@ -125,7 +124,7 @@ def bound(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
     assert table.routes is not None, "waypoints come first"
     alpha, least = table.alpha.copy(), parts.config.arrival.least_alpha
     durations = parts.durations_at(state, table.routes, np.full(len(rows), least))
-    alpha[rows] = least * table.arrival_times(rows) / times_to(durations, table.routes.meet)
+    alpha[rows] = least * table.arrival_times(rows) / time_to(durations, np.asarray(table.routes.meet))
     late = ~(alpha[rows] >= least * (1.0 - parts.config.arrival.tolerance))
     return table.against(rows, np.where(late, Reason.ALPHA_LT_1, 0).astype(np.uint32))._replace(alpha=alpha)
 
@@ -153,11 +152,6 @@ def check(parts: Parts, state: FlatState, table: Table) -> Table:
         matched=None,
         trajectories=(*table.trajectories, (found, len(rows))),
     )
-
-
-def times_to(durations: Float[np.ndarray, "m k"], meet: Int[AnyArray, "k"]) -> Float[np.ndarray, "k"]:
-    """Seconds to waypoint number ``meet`` of each sequence."""
-    return np.where(np.arange(len(durations))[:, None] < np.asarray(meet)[None], durations, 0.0).sum(axis=0)
 
 
 def _numbered(columns: Int[np.ndarray, "k"], rows: Rows, first: int) -> Int[np.ndarray, "k"]:
