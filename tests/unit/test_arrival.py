@@ -61,11 +61,12 @@ def test_meets_the_arrival_time_whatever_the_elasticity(elasticity):
     assert int(np.max(result.calls)) <= CONFIG.max_calls
 
 
-def test_allocation_that_ignores_the_state_needs_one_step():
+def test_allocation_that_ignores_the_state_needs_two_steps():
+    """The first has the slope that flights have, the second the right one."""
     with jax.enable_x64(True):
         result = solve(np.zeros(3), np.array([1.0, 2.0, 0.1]), [1.0, 5.0, 3.0])
     np.testing.assert_allclose(result.alpha, [1.0, 2.5, 30.0], **tolerance("exact"))
-    assert list(result.calls) == [1, 2, 2]
+    assert list(result.calls) == [1, 3, 3]
     assert not np.asarray(result.reasons).any()
 
 
