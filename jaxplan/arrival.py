@@ -28,9 +28,8 @@ from jaxplan.spline import FlatState, FlatStateBatch
 from jaxplan.status import Reason, bit
 from jaxplan.validation import require_between, require_within
 
-
 FIRST_SLOPE = 1.7
-"""Of f before two points are known: its median over in-flight candidates of the three environments lies at 1.4 to 1.9."""
+"""Of f before two points are known: its median over candidates in flight is 1.4 to 1.9 in the three environments."""
 SLOPES = (0.8, 8.0)
 """Least and largest slope that is believed; f rises by 1.1 to 5 for each unit of x there (1st and 99th percentile)."""
 PATIENCE = 6
@@ -93,14 +92,6 @@ class _Search(NamedTuple):
     trips: Int[Array, ""]
 
 
-class _Point(NamedTuple):
-    """One call of the time allocation."""
-
-    x: Float[Array, "k"]
-    f: Float[Array, "k"]
-    durations: Float[Array, "m k"]
-
-
 def match_arrival(
     decode: Decode,
     initial: FlatState | FlatStateBatch,
@@ -108,7 +99,6 @@ def match_arrival(
     config: ArrivalConfig,
     meet: Int[Array, "k"] | None = None,
     least_alpha: Float[Array, "k"] | None = None,
-    least_times: Float[Array, "k"] | None = None,
 ) -> Arrival:
     """Find alpha for every candidate; candidates that need less than the least one are done after the first call.
 
@@ -119,8 +109,6 @@ def match_arrival(
         config: when to stop.
         meet: number of the waypoint at which each target is met; the last one when omitted.
         least_alpha: of each candidate, instead of the configuration's.
-        least_times: from the start to the meeting at the least alpha [s], where they are known from an earlier call,
-            else NaN. Such a candidate is searched from the first step on, and its ``least_durations`` are of there.
     """
     log_goal = jnp.log(arrival_times)
 
@@ -135,18 +123,17 @@ def match_arrival(
         active = _active(search, config)
         x = jnp.where(active, _propose(search), search.x)
         durations, f = allocate(x)
-        return _keep(active, search, _narrow(search, _Point(x, f, durations)))
+        return _keep(active, search, _narrow(search, x, f, durations))
 
-    lowest = jnp.full_like(arrival_times, jnp.log(config.least_alpha)) if least_alpha is None else jnp.log(least_alpha)
-    known = jnp.zeros(lowest.shape, bool) if least_times is None else jnp.isfinite(least_times)
-    before = jnp.full_like(lowest, jnp.nan) if least_times is None else jnp.log(least_times) - log_goal
-    first = jnp.where(known, lowest - before / FIRST_SLOPE, lowest)
+    first = jnp.full_like(arrival_times, jnp.log(config.least_alpha)) if least_alpha is None else jnp.log(least_alpha)
     least, f = allocate(first)
-    start = _begin(lowest, jnp.where(known, before, f), _Point(first, f, least))
+    nan, slope = jnp.full_like(first, jnp.nan), jnp.full_like(first, FIRST_SLOPE)
+    once = jnp.ones(first.shape, jnp.int32)
+    start = _Search(first, f, slope, least, first, f, nan, nan, once, jnp.int32(1))
     end = jax.lax.while_loop(unfinished, step, start)
-    reachable = start.f_below <= config.tolerance
+    reachable = f <= config.tolerance
     met = jnp.abs(end.f) <= config.tolerance
-    alpha = jnp.where(reachable, jnp.exp(end.x), jnp.exp(lowest - start.f_below))
+    alpha = jnp.where(reachable, jnp.exp(end.x), jnp.exp(first - f))
     exact = end.durations * jnp.exp(end.x)[None] * jnp.exp(-end.f)[None]
     reasons = bit(~reachable, Reason.ALPHA_LT_1) | bit(reachable & ~met, Reason.ALPHA_NOT_CONVERGED)
     return Arrival(jnp.where(met[None], exact, end.durations), alpha, least * jnp.exp(first)[None], reasons, end.calls)
@@ -179,7 +166,7 @@ def _active(search: _Search, config: ArrivalConfig) -> Bool[Array, "k"]:
 
 
 def _propose(search: _Search) -> Float[Array, "k"]:
-    """The step along the slope; within a bracket its secant where that step leads out of it, and its middle now and then."""
+    """The step along the slope; where that leads out of the bracket its secant, and its middle now and then."""
     step = search.x - search.f / search.slope
     bracketed = jnp.isfinite(search.above)
     rise = (search.f_above - search.f_below) / (search.above - search.below)
@@ -200,16 +187,7 @@ def _stretch(trips: Int[Array, ""], dtype: jnp.dtype) -> Float[Array, ""]:
     return jnp.where(trips <= PATIENCE, 1.0, 2.0 ** jnp.minimum(trips - PATIENCE, 10).astype(dtype))
 
 
-def _begin(lowest: Float[Array, "k"], f_lowest: Float[Array, "k"], first: _Point) -> _Search:
-    """The search with what is known: the least alpha, and a first point that may lie beyond the root."""
-    nan, slope = jnp.full_like(lowest, jnp.nan), jnp.full_like(lowest, FIRST_SLOPE)
-    calls = jnp.ones(lowest.shape, jnp.int32)
-    blank = _Search(lowest, f_lowest, slope, first.durations, lowest, f_lowest, nan, nan, calls, jnp.int32(0))
-    return _narrow(blank, first)._replace(calls=calls)
-
-
-def _narrow(search: _Search, point: _Point) -> _Search:
-    x, f, durations = point
+def _narrow(search: _Search, x: Float[Array, "k"], f: Float[Array, "k"], durations: Float[Array, "m k"]) -> _Search:
     early, moved = f < 0.0, x != search.x
     slope = (f - search.f) / jnp.where(moved, x - search.x, 1.0)
     believed = moved & (slope > SLOPES[0] / 10.0) & jnp.isfinite(slope)
