@@ -15,6 +15,8 @@ Meet = Literal["pass", "rest"]
 MEETINGS: tuple[Meet, ...] = get_args(Meet)
 Heading = Literal["hold", "path"]
 HEADINGS: tuple[Heading, ...] = get_args(Heading)
+Allocate = Literal["policy", "profile", "both"]
+ALLOCATIONS: tuple[Allocate, ...] = get_args(Allocate)
 
 _FASTEST_TARGET = 50.0
 """m/s; arbitrary, far above any vehicle here: a larger value is a mistake of units."""

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxplan.arrival import time_to
+from jaxplan.batching import pick
 from jaxplan.planner.border import usual_candidates, usual_state
 from jaxplan.planner.parts import Parts
 from jaxplan.planner.records import Approaches
@@ -28,14 +29,19 @@ def approach(parts: Parts, state: FlatState, candidates: Candidates) -> Approach
     table = reject(parts, state, table_of(candidates, parts.config.likelihood_weight))
     rows = _latest_goals(table)
     meetings = (True, False) if parts.config.meet == "pass" else (False,)
-    axes = np.meshgrid(np.arange(len(rows)), meetings, PACES, indexing="ij")
-    member, passing, alpha = (axis.ravel() for axis in axes)
+    asked = parts.allocations(state)
+    axes = np.meshgrid(np.arange(len(asked)), np.arange(len(rows)), meetings, PACES, indexing="ij")
+    allocation, member, passing, alpha = (axis.ravel() for axis in axes)
     goals, times = table.goals(rows)[member], table.arrival_times(rows)[member]
     arrival, reasons, found = np.zeros(len(member)), np.zeros(len(member), np.uint32), no_trajectories()
     if len(rows):
         paths = parts.search(state, table.goals(rows), np.asarray(candidates.target))
         routes = parts.route(paths, member, passing)
-        durations = parts.durations_at(state, routes, alpha)
+        of_each = [np.flatnonzero(allocation == one) for one in range(len(asked))]
+        allotted = [
+            parts.durations_at(by, state, pick(routes, of), alpha[of]) for by, of in zip(asked, of_each, strict=True)
+        ]
+        durations = np.concatenate(allotted, axis=1)
         found = parts.check_all(state, routes, durations)
         arrival = np.asarray(time_to(durations, np.asarray(routes.meet))) * _left_out(routes, paths.length[member])
         missing = paths.reasons & ~np.uint32(Reason.PREFIX_ONLY)

@@ -15,7 +15,7 @@ from jaxplan.planner.border import usual_candidates, usual_state
 from jaxplan.planner.parts import Parts
 from jaxplan.planner.records import Planner, PlannerConfig, Plans
 from jaxplan.planner.stations import compile_stations
-from jaxplan.planner.table import Rows, Table, bound, check, knots, match, reject, search, table_of
+from jaxplan.planner.table import Rows, Table, bound, check, enter, knots, match, outrank, reject, search, table_of
 from jaxplan.planner.timer import Timer
 from jaxplan.planner.warmup import compile_all
 from jaxplan.policy.protocol import Policy
@@ -26,7 +26,6 @@ from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.search.routes import warmup as warm_up_search
 from jaxplan.search.update import update_lattices
 from jaxplan.spline import FlatState
-from jaxplan.status import Reason
 from jaxplan.vehicle.identity import require_same_vehicle
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.obstacles import World
@@ -102,6 +101,8 @@ def plan_batch(
     state, candidates = usual_state(state), usual_candidates(candidates)
     timer = timer or Timer()
     table = reject(parts, state, table_of(candidates, parts.config.likelihood_weight))
+    if not parts.config.exhaustive:
+        table = outrank(table, np.flatnonzero(table.score <= above))
     timer.lap("reject")
     rows = table.usable()
     if len(rows):
@@ -111,30 +112,36 @@ def plan_batch(
         timer.lap("knots")
         table = bound(parts, state, table, rows)
         timer.lap("policy")
-        order = rows if parts.config.exhaustive else table.best_first()
-        table = _until_one_passes(parts, state, table, order, timer, above)
+        table = _until_one_passes(parts, state, table, rows if parts.config.exhaustive else table.best_first(), timer)
     plans = table.plans()
     timer.lap("select")
     return plans
 
 
-def _until_one_passes(parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Timer, above: float) -> Table:
-    """Match, solve and check ``rows`` in their order, in rounds, until a round has a usable one.
-
-    Rows whose score is not ``above`` that of a plan that is there already cannot win and are left out.
-    """
+def _until_one_passes(parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Timer) -> Table:
+    """Match, solve and check ``rows`` in their order, in rounds, until a round has a usable one."""
     width = parts.config.width
-    wanted = rows if parts.config.exhaustive else rows[table.score[rows] > above]
-    for begin in range(0, len(wanted), width):
-        some = wanted[begin : begin + width]
-        table = match(parts, state, table, some)
-        timer.lap("policy", table.matched)
-        table = check(parts, state, table)
+    for begin in range(0, len(rows), width):
+        table, passed = _round(parts, state, table, rows[begin : begin + width], timer)
+        if passed and not parts.config.exhaustive:
+            return outrank(table, rows[begin + width :])
+    return table
+
+
+def _round(parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Timer) -> tuple[Table, bool]:
+    """Ask the time allocations in turn, each for the rows that can still win; whether one of them did."""
+    passed = False
+    for allocation in parts.allocations(state):
+        matched = match(parts, allocation, state, table, rows)
+        timer.lap("policy", matched.arrival)
+        checked = check(parts, state, matched)
         timer.lap("minsnap")
-        if not parts.config.exhaustive and (table.reasons[some] == 0).any():
+        table, passes = enter(table, checked), checked.reasons == 0
+        passed |= bool(passes.any())
+        rows = rows[~passes] if parts.config.exhaustive else rows[np.cumsum(passes) == 0]
+        if not len(rows):
             break
-    left = rows[table.trajectory[rows] < 0]
-    return table.against(left, np.full(len(left), Reason.OUTRANKED, np.uint32))
+    return table, passed
 
 
 def _warmup(parts: Parts, state: FlatState) -> None:

@@ -6,12 +6,12 @@ Every station is compiled for one width and called as often as there are candida
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt32
+from jaxtyping import Bool, Float, Int, UInt32
 
 from jaxplan.arrays import AnyArray
 from jaxplan.batching import at_fixed_width, pick
 from jaxplan.planner.records import PlannerConfig
-from jaxplan.planner.stations import Routes, Stations, Trajectories, shortened
+from jaxplan.planner.stations import Match, Routes, Stations, Trajectories, shortened
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.search.lattice import Lattices, Paths
 from jaxplan.search.routes import find_routes
@@ -69,27 +69,37 @@ class Parts(NamedTuple):
 
         return shortened(at_fixed_width(place, np.arange(len(member)), self.config.width))
 
-    def durations_at(self, state: FlatState, routes: Routes, alpha: Float[np.ndarray, "k"]) -> Float[np.ndarray, "m k"]:
-        """The policy's durations [s] at given scale factors."""
+    def allocations(self, state: FlatState) -> tuple[Match, ...]:
+        """Who allots the times of plans from this state: those that are asked in turn."""
+        asked = self.config.allocate
+        slow = float(np.linalg.norm(np.asarray(state.vel))) <= self.config.policy_speed
+        profile = (self.stations.match_profile,) if asked != "policy" else ()
+        return (*profile, self.stations.match_policy) if asked == "policy" or (asked == "both" and slow) else profile
+
+    def durations_at(
+        self, allocation: Match, state: FlatState, routes: Routes, alpha: Float[np.ndarray, "k"]
+    ) -> Float[np.ndarray, "m k"]:
+        """Durations [s] by one of them at given scale factors."""
         at_once = np.zeros(self.config.width)
 
-        def ask(some: Int[np.ndarray, "n"]) -> Float[Array, "m n"]:
-            return self.stations.match(state, pick(routes, some), at_once, alpha[some]).least_durations
+        def ask(some: Int[np.ndarray, "n"]) -> Float[AnyArray, "m n"]:
+            return allocation(state, pick(routes, some), at_once, alpha[some]).least_durations
 
         return at_fixed_width(ask, np.arange(len(routes.count)), self.config.width)
 
     def check(self, state: FlatState, routes: Routes, durations: Float[AnyArray, "m k"]) -> Trajectories:
         """Solved and checked trajectories, as many as the stations take, the preferred ones first.
 
-        The clearance is bounded from below, at first loosely: where that alone rejects one that comes before all that
-        pass, once more and tighter.
+        The clearance is looked at where anything passes without, and bounded from below, at first loosely: where that
+        alone rejects one that comes before all that pass, once more and tighter.
         """
-        solved = self.stations.solve(state, routes, durations)
-        found = self.stations.clear(self.world, solved)
-        reasons = np.asarray(found.margins.reasons)
-        before = (np.cumsum(reasons == 0) == 0) | self.config.exhaustive
-        if (before & (reasons == np.uint32(Reason.CLEARANCE))).any():
-            found = self.stations.clear_finely(self.world, solved)
+        found = solved = self.stations.solve(state, routes, durations)
+        if self.config.exhaustive or not np.all(solved.margins.reasons):
+            found = self.stations.clear(self.world, solved)
+            reasons = np.asarray(found.margins.reasons)
+            before = (np.cumsum(reasons == 0) == 0) | self.config.exhaustive
+            if (before & (reasons == np.uint32(Reason.CLEARANCE))).any():
+                found = self.stations.clear_finely(self.world, solved)
         return found
 
     def check_all(self, state: FlatState, routes: Routes, durations: Float[np.ndarray, "m k"]) -> Trajectories:

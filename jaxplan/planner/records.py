@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt32
 
 from jaxplan.arrival import ArrivalConfig
-from jaxplan.config import HEADINGS, MEETINGS, Heading, Meet
+from jaxplan.config import ALLOCATIONS, HEADINGS, MEETINGS, Allocate, Heading, Meet
 from jaxplan.errors import InputError
 from jaxplan.knots import KnotConfig
 from jaxplan.minsnap.spline_batch import SplineBatch
@@ -42,6 +42,10 @@ class PlannerConfig:
     """Where the vehicle looks: "hold" keeps its yaw, "path" turns it along the path."""
     max_yaw_rate: float = 1.5
     """Average yaw rate [rad/s] that a segment may ask for (docs/decisions/0010-yaw-rate.md)."""
+    allocate: Allocate = "both"
+    """Who allots the times: the "policy" (the paper), the "profile" of speeds along the path, or "both" in turn."""
+    policy_speed: float = 4.0
+    """Fastest start [m/s] from which the policy is asked where the profile is there too (docs/decisions/0022)."""
     likelihood_weight: float = 1.0
     """Seconds that a likelihood of 1 is worth in the selection (paper eq. 9 leaves the unit open)."""
     path_capacity: int = 32
@@ -51,16 +55,17 @@ class PlannerConfig:
     exhaustive: bool = False
     """Match and check every candidate (the paper) instead of the best ones until one passes: the same winner."""
     knots: KnotConfig = KnotConfig()
-    arrival: ArrivalConfig = ArrivalConfig(least_alpha=0.75)
+    arrival: ArrivalConfig = ArrivalConfig(least_alpha=0.75, tolerance=1e-2)
     checks: CheckConfig = CheckConfig()
 
     def __post_init__(self) -> None:
         require_positive("planner", self, "max_yaw_rate", "resolution")
-        require_at_least("planner", self, 0, "padding")
+        require_at_least("planner", self, 0, "padding", "policy_speed")
         require_within("planner", self, 1, 65536, "width")
         require_one_of("planner", self, METHODS, "search")
         require_one_of("planner", self, MEETINGS, "meet")
         require_one_of("planner", self, HEADINGS, "heading")
+        require_one_of("planner", self, ALLOCATIONS, "allocate")
         if self.meet == "pass" and self.search != "roadmap":
             raise InputError(f"planner: meet 'pass' needs search 'roadmap', have {self.search!r}; want meet 'rest'")
 

@@ -6,7 +6,7 @@ the other stations serve every world.
 
 import dataclasses
 import functools
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,7 @@ from jaxplan.minsnap.spline_batch import SplineBatch, fit
 from jaxplan.numerics import safe_norm
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.policy.protocol import Policy
+from jaxplan.policy.speed_profile import speed_profile_policy
 from jaxplan.prediction.candidates import Candidates, reject_early
 from jaxplan.selection import CheckConfig, Margins, check_clearance, check_flight
 from jaxplan.spline import FlatState
@@ -70,6 +71,7 @@ class Route(Protocol):
         """Corners of the paths, and where each goes on to behind its goal [m, world]."""
 
 
+@runtime_checkable
 class Match(Protocol):
     """Durations that arrive at given times."""
 
@@ -101,7 +103,8 @@ class Stations(NamedTuple):
 
     reject: Reject
     route: Route
-    match: Match
+    match_policy: Match
+    match_profile: Match
     solve: Solve
     clear: Clear
     clear_finely: Clear
@@ -129,14 +132,15 @@ def compile_stations(
             reasons=bit(~routes.whole, Reason.PREFIX_ONLY),
         )
 
-    @jax.jit
     def match(
-        state: FlatState, routes: Routes, arrival_times: Float[Array, "k"], least_alpha: Float[Array, "k"]
+        policy: Policy,
+        state: FlatState,
+        routes: Routes,
+        arrival_times: Float[Array, "k"],
+        least_alpha: Float[Array, "k"],
     ) -> Arrival:
-        context, meet = (
-            policy.encode(jnp.asarray(routes.waypoints), jnp.asarray(routes.count)),
-            jnp.asarray(routes.meet),
-        )
+        context = policy.encode(jnp.asarray(routes.waypoints), jnp.asarray(routes.count))
+        meet = jnp.asarray(routes.meet)
         return match_arrival(
             lambda d: policy.decode(context, d), state, arrival_times, config.arrival, meet, least_alpha
         )
@@ -155,9 +159,10 @@ def compile_stations(
         splines, margins = trajectories
         return Trajectories(splines, check_clearance(margins, splines, world, vehicle, checks))
 
+    by_policy, by_profile = (jax.jit(functools.partial(match, by)) for by in (policy, speed_profile_policy()))
     fine = dataclasses.replace(config.checks, samples_per_segment=FINER * config.checks.samples_per_segment)
-    clear_by = [jax.jit(functools.partial(clear, checks=checks)) for checks in (config.checks, fine)]
-    return Stations(reject, route, match, solve, *clear_by)
+    loosely, finely = (jax.jit(functools.partial(clear, checks=checks)) for checks in (config.checks, fine))
+    return Stations(reject, route, by_policy, by_profile, solve, loosely, finely)
 
 
 def shortened(routes: Routes) -> Routes:

@@ -13,7 +13,7 @@ from jaxplan.arrival import Arrival, time_to
 from jaxplan.batching import fill, join, pick
 from jaxplan.planner.parts import Parts
 from jaxplan.planner.records import Plans
-from jaxplan.planner.stations import Routes, Trajectories, no_trajectories
+from jaxplan.planner.stations import Match, Routes, Trajectories, no_trajectories
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.search.lattice import Paths
 from jaxplan.spline import FlatState
@@ -30,6 +30,16 @@ class Matched(NamedTuple):
     arrival: Arrival
 
 
+class Checked(NamedTuple):
+    """Rows with their trajectories, and what is against those."""
+
+    rows: Rows
+    alpha: Float[np.ndarray, "n"]
+    reasons: UInt32[np.ndarray, "n"]
+    trajectories: Trajectories
+    """As many as the stations take; the first n count."""
+
+
 class Table(NamedTuple):
     """One row for each of k candidates, in the order given. Rows without a route or trajectory have -1 there."""
 
@@ -37,6 +47,9 @@ class Table(NamedTuple):
     score: Float[np.ndarray, "k"]
     """What the selection maximises [s]."""
     reasons: UInt32[np.ndarray, "k"]
+    """Against a row whatever its times."""
+    faults: UInt32[np.ndarray, "k"]
+    """Of the trajectory that a row has: the last one that was tried."""
     alpha: Float[np.ndarray, "k"]
     """Scale factor of the time allocation; NaN where none was computed."""
     route: Int[np.ndarray, "k"]
@@ -45,7 +58,6 @@ class Table(NamedTuple):
     """Column of all ``trajectories``, one after the other."""
     paths: Paths | None = None
     routes: Routes | None = None
-    matched: Matched | None = None
     trajectories: tuple[tuple[Trajectories, int], ...] = ()
     """What each round gave, and how many of its columns count."""
 
@@ -83,7 +95,7 @@ class Table(NamedTuple):
         return Plans(
             goals=self.goals(self.every_row),
             arrival_times=self.arrival_times(self.every_row),
-            reasons=self.reasons,
+            reasons=self.reasons | self.faults,
             score=self.score,
             alpha=self.alpha,
             trajectory=self.trajectory,
@@ -96,13 +108,18 @@ def table_of(candidates: Candidates, likelihood_weight: float) -> Table:
     """A table of which nothing is known but the score (paper eq. 9)."""
     count = len(candidates.goals)
     score = likelihood_weight * np.asarray(candidates.likelihood) - np.asarray(candidates.arrival_times)
-    nowhere = np.full(count, -1)
-    return Table(candidates, score, np.zeros(count, np.uint32), np.full(count, np.nan), nowhere, nowhere)
+    none, nowhere = np.zeros(count, np.uint32), np.full(count, -1)
+    return Table(candidates, score, none, none, np.full(count, np.nan), nowhere, nowhere)
 
 
 def reject(parts: Parts, state: FlatState, table: Table) -> Table:
     """Mark what cannot be a goal."""
     return table.against(table.every_row, parts.reject(state, table.candidates))
+
+
+def outrank(table: Table, rows: Rows) -> Table:
+    """Mark rows that cannot win, so that no more work is done for them."""
+    return table.against(rows, np.full(len(rows), Reason.OUTRANKED, np.uint32))
 
 
 def search(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
@@ -120,37 +137,40 @@ def knots(parts: Parts, table: Table, rows: Rows) -> Table:
 
 
 def bound(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
-    """Ask the policy for the least time to each goal: what takes longer than T_goal cannot be met."""
+    """Ask the first time allocation for the least time to each goal: what takes longer than T_goal cannot be met."""
     assert table.routes is not None, "waypoints come first"
     alpha, least = table.alpha.copy(), parts.config.arrival.least_alpha
-    durations = parts.durations_at(state, table.routes, np.full(len(rows), least))
+    first, *_ = parts.allocations(state)
+    durations = parts.durations_at(first, state, table.routes, np.full(len(rows), least))
     alpha[rows] = least * table.arrival_times(rows) / time_to(durations, np.asarray(table.routes.meet))
     late = ~(alpha[rows] >= least * (1.0 - parts.config.arrival.tolerance))
     return table.against(rows, np.where(late, Reason.ALPHA_LT_1, 0).astype(np.uint32))._replace(alpha=alpha)
 
 
-def match(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
+def match(parts: Parts, allocation: Match, state: FlatState, table: Table, rows: Rows) -> Matched:
     """Slow at most ``width`` rows down until each arrives at T_goal."""
     padded = fill(rows, parts.config.width)
     routes, least = pick(table.routes, table.route[padded]), np.full(len(padded), parts.config.arrival.least_alpha)
-    return table._replace(
-        matched=Matched(rows, routes, parts.stations.match(state, routes, table.arrival_times(padded), least))
-    )
+    return Matched(rows, routes, allocation(state, routes, table.arrival_times(padded), least))
 
 
-def check(parts: Parts, state: FlatState, table: Table) -> Table:
+def check(parts: Parts, state: FlatState, matched: Matched) -> Checked:
     """Solve and check the trajectories of the rows just matched."""
-    assert table.matched is not None, "rows are matched first"
-    rows, routes, arrival = table.matched
+    rows, routes, arrival = matched
     found = parts.check(state, routes, arrival.durations)
-    alpha = table.alpha.copy()
-    alpha[rows] = np.asarray(arrival.alpha)[: len(rows)]
     reasons = np.asarray(arrival.reasons) | np.asarray(found.margins.reasons)
-    return table.against(rows, reasons[: len(rows)])._replace(
+    return Checked(rows, np.asarray(arrival.alpha)[: len(rows)], reasons[: len(rows)], found)
+
+
+def enter(table: Table, checked: Checked) -> Table:
+    """The table with trajectories for some rows, instead of those that they had."""
+    rows, alpha, faults = checked.rows, table.alpha.copy(), table.faults.copy()
+    alpha[rows], faults[rows] = checked.alpha, checked.reasons
+    return table._replace(
         alpha=alpha,
+        faults=faults,
         trajectory=_numbered(table.trajectory, rows, sum(count for _, count in table.trajectories)),
-        matched=None,
-        trajectories=(*table.trajectories, (found, len(rows))),
+        trajectories=(*table.trajectories, (checked.trajectories, len(rows))),
     )
 
 

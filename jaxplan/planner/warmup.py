@@ -27,7 +27,8 @@ def compile_all(stations: Stations, world: World, config: PlannerConfig, state: 
 def _compile(stations: Stations, world: World, state: FlatState, whole: Routes, length: int) -> None:
     """Call the stations, each with what the one before it returns."""
     routes = cut(whole, length)
-    arrival = stations.match(state, routes, np.zeros(len(routes.count)), np.ones(len(routes.count)))
+    nothing, once = np.zeros(len(routes.count)), np.ones(len(routes.count))
+    arrival, _ = (match(state, routes, nothing, once) for match in (stations.match_profile, stations.match_policy))
     solved = stations.solve(state, routes, arrival.durations)
     jax.block_until_ready([clear(world, solved) for clear in (stations.clear, stations.clear_finely)])
 

@@ -121,6 +121,8 @@ def test_at_rest_at_the_goal_where_that_is_wanted(world, moving):
     [
         ({"meet": "crash"}, "meet"),
         ({"heading": "down"}, "heading"),
+        ({"allocate": "network"}, "allocate"),
+        ({"policy_speed": -1.0}, "policy_speed"),
         ({"meet": "pass", "search": "multi-resolution"}, "meet 'rest'"),
     ],
 )
@@ -166,6 +168,24 @@ def test_taking_the_best_first_finds_the_winner_of_an_exhaustive_evaluation(worl
             np.testing.assert_allclose(best.position, same.position, **tolerance("formula"))
     assert winners >= 4
     assert max(rounds) > 0
+
+
+def test_both_allocations_find_what_either_finds(world, moving):
+    """The better winner of the two; from a start that is too fast for the policy that of the profile."""
+    vehicle, policy = load_vehicle(), constant_speed_policy()
+    options = {name: {"allocate": name} for name in ("policy", "profile", "both")} | {"fast": {"policy_speed": 1.0}}
+    planners = {
+        name: build_planner(dataclasses.replace(CONFIG, **some), world=world, vehicle=vehicle, policy=policy)
+        for name, some in options.items()
+    }
+    better = set()
+    for seed in range(4):
+        plans = {name: planner.plan_batch(moving, candidates(40, seed)) for name, planner in planners.items()}
+        score = {name: some.score[select(some)] if select(some) >= 0 else -np.inf for name, some in plans.items()}
+        assert score["both"] == max(score["policy"], score["profile"])
+        assert score["fast"] == score["profile"]
+        better |= {name for name in ("policy", "profile") if score[name] < score["both"]}
+    assert better == {"policy", "profile"}
 
 
 def test_what_cannot_beat_a_committed_plan_is_left_out(planner, moving):
@@ -223,7 +243,8 @@ def test_no_candidate_means_no_plan(planner, moving):
 
 def test_removing_the_obstacles_never_turns_an_accept_into_a_clearance_reject(world, moving):
     """Adding obstacles may only reject; here seen from the other side. Stop points would differ."""
-    empty, config = replace(world, obstacles=make_obstacles()), dataclasses.replace(CONFIG, meet="rest")
+    empty = replace(world, obstacles=make_obstacles())
+    config = dataclasses.replace(CONFIG, meet="rest", allocate="policy", exhaustive=True)
     full, free = (
         build_planner(config, world=some, vehicle=load_vehicle(), policy=constant_speed_policy())
         for some in (world, empty)
