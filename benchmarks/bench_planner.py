@@ -4,9 +4,9 @@
 
 In each environment an interception is flown with the noisy predictor (20 steps x 20 samples), and the state and the
 candidates of every cycle are kept. Each cycle is then planned again with K of its candidates (more than 400 are drawn
-again, moved by centimetres), warm, stage by stage. The last rows are the same 400 sequences given to our own batched
-optimiser: without limits (a) and within the rotors' limits (c), from rest and without arrival matching; and the floor
-of one evaluation of the policy's network.
+again, moved by centimetres), warm, stage by stage; ``planned`` counts the cycles that found a plan. The last rows are
+the same 400 sequences given to our own batched optimiser: without limits (a) and within the rotors' limits (c), from
+rest and without arrival matching; and the floor of one evaluation of the policy's network.
 """
 
 import argparse
@@ -21,10 +21,10 @@ import jax
 import numpy as np
 
 from jaxplan import interception
-from jaxplan.config import InterceptConfig, Planner
+from jaxplan.config import ALLOCATIONS, Allocate, InterceptConfig, Planner
 from jaxplan.knots import KnotConfig, select_routes
 from jaxplan.minsnap.time_allocation import time_allocation
-from jaxplan.planner import Plans, Timer
+from jaxplan.planner import Plans, Timer, select
 from jaxplan.policy.checkpoint import load_parameters
 from jaxplan.precision import in_float64
 from jaxplan.prediction.candidates import Candidates, candidates_from
@@ -78,9 +78,10 @@ def measure(
     cycles: int,
     seed: int = 0,
     optimiser: bool = True,
+    allocate: Allocate | None = None,
 ) -> list[dict[str, Any]]:
     """Rows of one environment, with those of the optimiser on the same sequences unless it is left out."""
-    config = InterceptConfig(world=world, predictor="noisy", planner=policy, speed=3.0)
+    config = InterceptConfig(world=world, predictor="noisy", planner=policy, speed=3.0, allocate=allocate)
     scenario = build_scenario(config)
     planner = scenario.planner
     began = time.perf_counter()
@@ -92,18 +93,18 @@ def measure(
     kept = [kept[place] for place in rng.permutation(len(kept))[:cycles]]
     rows = []
     for count in counts:
-        stages = []
+        stages, planned = [], 0
         for state, candidates in kept:
             some, timer = some_candidates(candidates, count, rng), Timer()
             began = time.perf_counter()
-            planner.plan_batch(state, some, timer)
+            planned += select(planner.plan_batch(state, some, timer)) >= 0
             total = 1e3 * (time.perf_counter() - began)
             joined = {"search + knots": timer.stages["search"] + timer.stages["knots"], "total": total}
             stages.append({**timer.stages, **joined})
         for stage in ("reject", "search + knots", "policy", "minsnap", "select", "total"):
             p50, p99 = np.quantile([row.get(stage, 0.0) for row in stages], [0.5, 0.99])
             row = {"world": world, "policy": policy, "candidates": count, "stage": stage, "p50_ms": float(p50)}
-            row |= {"p99_ms": float(p99), "cycles": len(stages), "warmup_s": warmup}
+            row |= {"p99_ms": float(p99), "cycles": len(stages), "planned": planned, "warmup_s": warmup}
             rows.append(row | ({"paper_ms": PAPER[stage]} if stage in PAPER and count == 400 else {}))
     return rows + (baseline(scenario, kept) if optimiser else [])
 
@@ -151,13 +152,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--json", type=Path, help="save the rows, with hardware, versions and commit")
     parser.add_argument("--worlds", nargs="+", default=["env1", "env2", "env3"])
     parser.add_argument("--policy", default="mfrl")
+    parser.add_argument("--allocate", choices=ALLOCATIONS, help="who allots the times (default: the planner's)")
     parser.add_argument("--counts", nargs="+", type=int, default=list(COUNTS))
     parser.add_argument("--departures", nargs="+", type=float, default=[0.5, 1.5, 2.5])
     parser.add_argument("--cycles", type=int, default=100)
     chosen = parser.parse_args(arguments)
     rows = []
     for world in chosen.worlds:
-        rows += measure(world, chosen.policy, chosen.counts, chosen.departures, chosen.cycles)
+        rows += measure(world, chosen.policy, chosen.counts, chosen.departures, chosen.cycles, allocate=chosen.allocate)
     if chosen.policy != "no-policy":
         rows.append(floor(chosen.policy))
     _harness.show(rows)

@@ -52,6 +52,10 @@ class InterceptConfig:
     heading: Heading = "hold"
     """Where the defender looks: hold keeps its yaw, path turns it along the path as in the paper."""
 
+    allocate: Allocate | None = None
+    """Who allots the times: policy, the profile of speeds that one acceleration allows, or both in turn, which is the
+    default; with --meet rest or no-policy it is the policy alone."""
+
     speed: float | None = None
     """The target's maximum speed [m/s]. Default: 1 for a stored target, as recorded for a flight."""
 
@@ -84,6 +88,8 @@ class InterceptConfig:
         _require_choice("planner", self.planner, PLANNERS)
         _require_choice("meet", self.meet, MEETINGS)
         _require_choice("heading", self.heading, HEADINGS)
+        if self.allocate is not None:
+            _require_choice("allocate", self.allocate, ALLOCATIONS)
         if self.speed is not None:
             _require_number("speed", self.speed, f"a number above 0 and at most {_FASTEST_TARGET:g} m/s")
             if not 0.0 < self.speed <= _FASTEST_TARGET:

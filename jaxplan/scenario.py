@@ -118,8 +118,8 @@ def build_scenario(config: InterceptConfig, *, exhaustive: bool = False, planner
 def planner_config(config: InterceptConfig, exhaustive: bool = False) -> PlannerConfig:
     """What a configuration asks of the planner; one that stops at the target is no faster than its policy says."""
     usual = PlannerConfig(exhaustive=exhaustive, meet=config.meet, heading=config.heading)
-    if config.planner == "no-policy" or config.meet == "rest":
-        usual = dataclasses.replace(usual, allocate="policy")
+    alone = config.planner == "no-policy" or config.meet == "rest"
+    usual = dataclasses.replace(usual, allocate=config.allocate or ("policy" if alone else "both"))
     return usual if config.meet == "pass" else dataclasses.replace(usual, arrival=ArrivalConfig())
 
 

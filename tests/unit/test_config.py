@@ -34,6 +34,7 @@ BAD: list[dict[str, Any]] = [
     {"planner": "policy"},
     {"meet": "crash"},
     {"heading": "down"},
+    {"allocate": "network"},
 ]
 
 
