@@ -13,7 +13,7 @@ Planner = Literal["no-policy", "pretrained", "mfrl"]
 PLANNERS: tuple[Planner, ...] = get_args(Planner)
 Meet = Literal["pass", "rest"]
 MEETINGS: tuple[Meet, ...] = get_args(Meet)
-Heading = Literal["hold", "path"]
+Heading = Literal["hold", "path", "target"]
 HEADINGS: tuple[Heading, ...] = get_args(Heading)
 Allocate = Literal["policy", "profile", "both"]
 ALLOCATIONS: tuple[Allocate, ...] = get_args(Allocate)
@@ -50,7 +50,8 @@ class InterceptConfig:
     says, as in the paper."""
 
     heading: Heading = "hold"
-    """Where the defender looks: hold keeps its yaw, path turns it along the path as in the paper."""
+    """Where the defender looks: hold keeps its yaw, path turns it along the path as in the paper, target
+    towards the target until they meet."""
 
     allocate: Allocate | None = None
     """Who allots the times: policy, the profile of speeds that one acceleration allows, or both in turn, which is the

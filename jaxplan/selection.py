@@ -6,14 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
 
-from jaxplan.arrays import AnyArray
+from jaxplan.arrays import AnyArray, Scalar
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.numerics import safe_norm
 from jaxplan.polynomials import control_point_table
 from jaxplan.records import record, replace
 from jaxplan.status import Reason, bit
 from jaxplan.validation import require_at_least, require_positive, require_within
-from jaxplan.vehicle.limits import least_rotor_margin
+from jaxplan.vehicle.limits import effort_of, least_rotor_margin, most_thrust
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.clearance import free_distance
 from jaxplan.world.obstacles import World
@@ -31,11 +31,13 @@ class CheckConfig:
     """Pieces into which the clearance check cuts a segment; more pieces give a tighter bound."""
     instants: int = 128
     """Instants of a trajectory, evenly spaced over its duration, at which the rotors are looked at."""
+    max_body_rate: float = 10.0
+    """Fastest turn of the thrust [rad/s], against drag, that a trajectory may ask for (docs/decisions/0022)."""
     least_probability: float = 0.75
     """Probability of being tracked that a trajectory needs where a classifier decides instead of the rotor limits."""
 
     def __post_init__(self) -> None:
-        require_positive("checks", self, "max_deviation")
+        require_positive("checks", self, "max_deviation", "max_body_rate")
         require_at_least("checks", self, 0, "tracking_margin")
         require_within("checks", self, 0, 1, "least_probability")
         require_within("checks", self, 2, 256, "samples_per_segment")
@@ -83,21 +85,28 @@ def check_flight(
     vehicle: Vehicle,
     config: CheckConfig,
     probability: Float[Array, "k"] | None = None,
+    least_probability: Scalar | None = None,
 ) -> Margins:
-    """``check`` without obstacles: the clearance is NaN."""
-    deviation = _deviation(splines.derivatives(_middles(config))[:, :, 0], paths)
+    """``check`` without obstacles: the clearance is NaN. ``least_probability``: instead of the configuration's."""
+    samples = splines.derivatives(_middles(config))
+    deviation = _deviation(samples[:, :, 0], paths)
     finite = jnp.isfinite(splines.position).all(axis=(0, 1, 2)) & jnp.isfinite(splines.yaw).all(axis=(0, 1, 2))
     unknown = jnp.full_like(deviation, jnp.nan)
+    vel, acc, jerk = (jnp.moveaxis(samples[:, :, order], 2, 0) for order in (1, 2, 3))
+    thrust, tilting = (jnp.max(most, axis=(0, 1)) for most in effort_of(vehicle, vel, acc, jerk))
     if probability is None:
         rotors, probability = least_rotor_margin(vehicle, splines.states(config.instants)), unknown
         feasible, doubted = rotors >= 0.0, Reason.LIMITS
     else:
         rotors = unknown
-        feasible, doubted = probability >= config.least_probability, Reason.UNTRACKABLE
+        least = config.least_probability if least_probability is None else least_probability
+        feasible, doubted = probability >= least, Reason.UNTRACKABLE
     reasons = (
         bit(~finite, Reason.NONFINITE)
         | bit(~(deviation < config.max_deviation), Reason.DEVIATION)
         | bit(~feasible, doubted)
+        | bit(~(thrust <= most_thrust(vehicle)), Reason.LIMITS)
+        | bit(~(tilting <= config.max_body_rate), Reason.BODY_RATE)
     )
     return Margins(deviation=deviation, clearance=unknown, rotor_speed=rotors, probability=probability, reasons=reasons)
 

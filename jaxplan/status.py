@@ -35,7 +35,7 @@ class Reason(enum.IntFlag):
     CLEARANCE = 1 << 9
     """The trajectory comes too close to an obstacle."""
     LIMITS = 1 << 10
-    """A rotor would have to turn faster or slower than it can."""
+    """A rotor would have to turn faster or slower than it can, or all together to give more than they can."""
     OUT_OF_REACH = 1 << 11
     """Even straight on with all rotors at full thrust the goal is reached too late."""
     PREFIX_ONLY = 1 << 12
@@ -46,6 +46,8 @@ class Reason(enum.IntFlag):
     """A better candidate passed every check, so this one was not evaluated."""
     UNTRACKABLE = 1 << 15
     """By the feasibility classifier, too unlikely to be tracked."""
+    BODY_RATE = 1 << 16
+    """The thrust would have to turn faster than the body is asked to."""
 
 
 class Note(enum.IntFlag):

@@ -15,7 +15,8 @@ from jaxplan.records import record
 from jaxplan.spline import FlatState, FlatStateBatch, PiecewisePolynomial
 
 SLOWEST_HEADING = 0.2
-"""Horizontal speed [m/s] below which a velocity has no heading to follow (arbitrary)."""
+"""Horizontal speed [m/s] below which a velocity has no heading to follow, distance [m] below which a point has none
+(arbitrary)."""
 
 
 @record
@@ -96,40 +97,50 @@ class SplineBatch:
 
 
 def fit(
-    state: FlatState, waypoints: Float[Array, "n 3 k"], durations: Float[Array, "m k"], max_yaw_rate: float
+    state: FlatState,
+    waypoints: Float[Array, "n 3 k"],
+    durations: Float[Array, "m k"],
+    max_yaw_rate: float,
+    looking: Float[Array, "n 2 k"] | None = None,
 ) -> SplineBatch:
     """Minimum-snap splines from one flat state through each lane's n = m + 1 waypoints to rest at its goal.
 
-    The first waypoint is the state's own position. Yaw follows the path's heading at the waypoints, held
-    where the vehicle is slow, and turns by at most ``max_yaw_rate`` [rad/s] on average over a segment.
+    The first waypoint is the state's own position. Yaw follows the path's heading at the waypoints, or the horizontal
+    directions ``looking`` there, held where those are shorter than ``SLOWEST_HEADING`` (the vehicle is slow, or the
+    point that it looks at near), and turns by at most ``max_yaw_rate`` [rad/s] on average over a segment.
     """
-    return fit_each(state.repeated(waypoints.shape[-1]), waypoints, durations, max_yaw_rate)
+    return fit_each(state.repeated(waypoints.shape[-1]), waypoints, durations, max_yaw_rate, looking)
 
 
 def fit_each(
-    states: FlatStateBatch, waypoints: Float[Array, "n 3 k"], durations: Float[Array, "m k"], max_yaw_rate: float
+    states: FlatStateBatch,
+    waypoints: Float[Array, "n 3 k"],
+    durations: Float[Array, "m k"],
+    max_yaw_rate: float,
+    looking: Float[Array, "n 2 k"] | None = None,
 ) -> SplineBatch:
     """``fit`` from a state of its own for every lane."""
     derivatives, turning = jnp.asarray(states.derivatives), jnp.asarray(states.yaw)
     points = waypoints.at[0].set(derivatives[0])
     position, knots = interpolate(durations, points, derivatives[1:])
-    headings = _headings(turning[0], knots[:, 0, :2], durations, max_yaw_rate)
+    directions = knots[:, 0, :2] if looking is None else looking
+    headings = _headings(turning[0], directions, durations, max_yaw_rate)
     yaw, _ = interpolate(durations, headings[:, None], turning[1:, None])
     return SplineBatch(durations=durations, position=position, yaw=yaw)
 
 
 def _headings(
-    start: Float[Array, "k"], velocity: Float[Array, "n 2 k"], durations: Float[Array, "m k"], max_rate: float
+    start: Float[Array, "k"], directions: Float[Array, "n 2 k"], durations: Float[Array, "m k"], max_rate: float
 ) -> Float[Array, "n k"]:
-    """Unwrapped yaw [rad] at the knots: the direction of the horizontal velocity, rate-limited."""
+    """Unwrapped yaw [rad] at the knots: these horizontal directions where they are not too short, rate-limited."""
 
     def turn(yaw: Float[Array, "k"], knot: tuple) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
-        velocity, duration = knot
-        moving = velocity[0] ** 2 + velocity[1] ** 2 > SLOWEST_HEADING**2
-        x, y = jnp.where(moving, velocity[0], 1.0), jnp.where(moving, velocity[1], 0.0)  # arctan2(0, 0) has no gradient
-        wanted = wrap_angle(jnp.where(moving, jnp.arctan2(y, x) - yaw, 0.0))
+        direction, duration = knot
+        clear = direction[0] ** 2 + direction[1] ** 2 > SLOWEST_HEADING**2
+        x, y = jnp.where(clear, direction[0], 1.0), jnp.where(clear, direction[1], 0.0)  # arctan2(0, 0): no gradient
+        wanted = wrap_angle(jnp.where(clear, jnp.arctan2(y, x) - yaw, 0.0))
         following = yaw + jnp.clip(wanted, -max_rate * duration, max_rate * duration)
         return following, following
 
-    _, rest = jax.lax.scan(turn, start, (velocity[1:], durations))
+    _, rest = jax.lax.scan(turn, start, (directions[1:], durations))
     return jnp.concatenate([start[None], rest])

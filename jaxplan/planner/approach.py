@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxplan.arrival import time_to
-from jaxplan.batching import pick
+from jaxplan.batching import join, pick
 from jaxplan.planner.border import usual_candidates, usual_state
 from jaxplan.planner.parts import Parts
 from jaxplan.planner.records import Approaches
@@ -37,12 +37,14 @@ def approach(parts: Parts, state: FlatState, candidates: Candidates) -> Approach
     if len(rows):
         paths = parts.search(state, table.goals(rows), np.asarray(candidates.target))
         routes = parts.route(paths, member, passing)
-        of_each = [np.flatnonzero(allocation == one) for one in range(len(asked))]
-        allotted = [
-            parts.durations_at(by, state, pick(routes, of), alpha[of]) for by, of in zip(asked, of_each, strict=True)
-        ]
-        durations = np.concatenate(allotted, axis=1)
-        found = parts.check_all(state, routes, durations)
+        flown = []
+        for one, by in enumerate(asked):
+            of = np.flatnonzero(allocation == one)
+            some = pick(routes, of)
+            durations = parts.durations_at(by, state, some, alpha[of])
+            flown.append((parts.check_all(by, state, some, durations, np.asarray(candidates.target)), len(of)))
+        found = join(flown)
+        durations = np.asarray(found.splines.durations)
         arrival = np.asarray(time_to(durations, np.asarray(routes.meet))) * _left_out(routes, paths.length[member])
         missing = paths.reasons & ~np.uint32(Reason.PREFIX_ONLY)
         reasons = np.asarray(found.margins.reasons) | missing[member]

@@ -134,7 +134,7 @@ def _round(parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Time
     for allocation in parts.allocations(state):
         matched = match(parts, allocation, state, table, rows)
         timer.lap("policy", matched.arrival)
-        checked = check(parts, state, matched)
+        checked = check(parts, state, table, matched)
         timer.lap("minsnap")
         table, passes = enter(table, checked), checked.reasons == 0
         passed |= bool(passes.any())

@@ -24,6 +24,14 @@ GOALS_AT_ONCE = 512
 """Candidates that are looked at before the search in one call: little work each (arbitrary)."""
 
 
+class Allocation(NamedTuple):
+    """Who allots times, and what is asked of trajectories with them."""
+
+    match: Match
+    least_probability: float
+    """Of being tracked, where a classifier decides."""
+
+
 class Parts(NamedTuple):
     """Configuration, compiled stations, and a world with its lattices."""
 
@@ -69,31 +77,41 @@ class Parts(NamedTuple):
 
         return shortened(at_fixed_width(place, np.arange(len(member)), self.config.width))
 
-    def allocations(self, state: FlatState) -> tuple[Match, ...]:
+    def allocations(self, state: FlatState) -> tuple[Allocation, ...]:
         """Who allots the times of plans from this state: those that are asked in turn."""
         asked = self.config.allocate
+        profile = Allocation(self.stations.match_profile, self.config.profile_probability)
+        policy = Allocation(self.stations.match_policy, self.config.checks.least_probability)
         slow = float(np.linalg.norm(np.asarray(state.vel))) <= self.config.policy_speed
-        profile = (self.stations.match_profile,) if asked != "policy" else ()
-        return (*profile, self.stations.match_policy) if asked == "policy" or (asked == "both" and slow) else profile
+        if asked == "both":
+            return (profile, policy) if slow else (profile,)
+        return (profile,) if asked == "profile" else (policy,)
 
     def durations_at(
-        self, allocation: Match, state: FlatState, routes: Routes, alpha: Float[np.ndarray, "k"]
+        self, allocation: Allocation, state: FlatState, routes: Routes, alpha: Float[np.ndarray, "k"]
     ) -> Float[np.ndarray, "m k"]:
         """Durations [s] by one of them at given scale factors."""
         at_once = np.zeros(self.config.width)
 
         def ask(some: Int[np.ndarray, "n"]) -> Float[AnyArray, "m n"]:
-            return allocation(state, pick(routes, some), at_once, alpha[some]).least_durations
+            return allocation.match(state, pick(routes, some), at_once, alpha[some]).least_durations
 
         return at_fixed_width(ask, np.arange(len(routes.count)), self.config.width)
 
-    def check(self, state: FlatState, routes: Routes, durations: Float[AnyArray, "m k"]) -> Trajectories:
+    def check(
+        self,
+        allocation: Allocation,
+        state: FlatState,
+        routes: Routes,
+        durations: Float[AnyArray, "m k"],
+        target: Float[np.ndarray, "3"],
+    ) -> Trajectories:
         """Solved and checked trajectories, as many as the stations take, the preferred ones first.
 
         The clearance is looked at where anything passes without, and bounded from below, at first loosely: where that
         alone rejects one that comes before all that pass, once more and tighter.
         """
-        found = solved = self.stations.solve(state, routes, durations)
+        found = solved = self.stations.solve(state, routes, durations, target, allocation.least_probability)
         if self.config.exhaustive or not np.all(solved.margins.reasons):
             found = self.stations.clear(self.world, solved)
             reasons = np.asarray(found.margins.reasons)
@@ -102,10 +120,17 @@ class Parts(NamedTuple):
                 found = self.stations.clear_finely(self.world, solved)
         return found
 
-    def check_all(self, state: FlatState, routes: Routes, durations: Float[np.ndarray, "m k"]) -> Trajectories:
+    def check_all(
+        self,
+        allocation: Allocation,
+        state: FlatState,
+        routes: Routes,
+        durations: Float[np.ndarray, "m k"],
+        target: Float[np.ndarray, "3"],
+    ) -> Trajectories:
         """Solved and checked trajectories, any number of them."""
 
         def check(some: Int[np.ndarray, "n"]) -> Trajectories:
-            return self.check(state, pick(routes, some), durations[:, some])
+            return self.check(allocation, state, pick(routes, some), durations[:, some], target)
 
         return at_fixed_width(check, np.arange(len(routes.count)), self.config.width)

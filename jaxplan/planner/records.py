@@ -39,13 +39,15 @@ class PlannerConfig:
     meet: Meet = "pass"
     """How a target is met: "pass" flies through the goal to a stop point behind it, "rest" stops at it (paper)."""
     heading: Heading = "hold"
-    """Where the vehicle looks: "hold" keeps its yaw, "path" turns it along the path."""
+    """Where the vehicle looks: "hold" keeps its yaw, "path" turns it along the path, "target" to the target."""
     max_yaw_rate: float = 1.5
     """Average yaw rate [rad/s] that a segment may ask for (docs/decisions/0010-yaw-rate.md)."""
     allocate: Allocate = "both"
     """Who allots the times: the "policy" (the paper), the "profile" of speeds along the path, or "both" in turn."""
     policy_speed: float = 4.0
     """Fastest start [m/s] from which the policy is asked where the profile is there too (docs/decisions/0022)."""
+    profile_probability: float = 0.8
+    """As ``CheckConfig.least_probability``, of plans with the profile's times: the classifier knows the policy's."""
     likelihood_weight: float = 1.0
     """Seconds that a likelihood of 1 is worth in the selection (paper eq. 9 leaves the unit open)."""
     path_capacity: int = 32
@@ -62,6 +64,7 @@ class PlannerConfig:
         require_positive("planner", self, "max_yaw_rate", "resolution")
         require_at_least("planner", self, 0, "padding", "policy_speed")
         require_within("planner", self, 1, 65536, "width")
+        require_within("planner", self, 0, 1, "profile_probability")
         require_one_of("planner", self, METHODS, "search")
         require_one_of("planner", self, MEETINGS, "meet")
         require_one_of("planner", self, HEADINGS, "heading")

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt32
 
-from jaxplan.arrays import AnyArray
-from jaxplan.arrival import Arrival, match_arrival
+from jaxplan.arrays import AnyArray, Scalar
+from jaxplan.arrival import Arrival, match_arrival, time_to
 from jaxplan.feasibility.classifier import Classifier
 from jaxplan.knots import MAX_WAYPOINTS, select_routes
 from jaxplan.minsnap.spline_batch import SplineBatch, fit
@@ -87,8 +87,18 @@ class Match(Protocol):
 class Solve(Protocol):
     """Minimum-snap trajectories with all their checks but the one for obstacles."""
 
-    def __call__(self, state: FlatState, routes: Routes, durations: Float[AnyArray, "m k"]) -> Trajectories:
-        """``durations`` in seconds per segment, 0 behind the last one."""
+    def __call__(
+        self,
+        state: FlatState,
+        routes: Routes,
+        durations: Float[AnyArray, "m k"],
+        target: Float[AnyArray, "3"],
+        least_probability: Scalar,
+    ) -> Trajectories:
+        """``durations`` in seconds per segment, 0 behind the last one; ``target`` is where it is at the start [m].
+
+        ``least_probability`` of being tracked is asked of a trajectory where a classifier decides.
+        """
 
 
 class Clear(Protocol):
@@ -145,14 +155,22 @@ def compile_stations(
             lambda d: policy.decode(context, d), state, arrival_times, config.arrival, meet, least_alpha
         )
 
-    max_yaw_rate = config.max_yaw_rate if config.heading == "path" else 0.0
+    max_yaw_rate = 0.0 if config.heading == "hold" else config.max_yaw_rate
 
     @jax.jit
-    def solve(state: FlatState, routes: Routes, durations: Float[Array, "m k"]) -> Trajectories:
-        splines = fit(state, jnp.asarray(routes.waypoints), durations, max_yaw_rate)
+    def solve(
+        state: FlatState,
+        routes: Routes,
+        durations: Float[Array, "m k"],
+        target: Float[Array, "3"],
+        least_probability: Scalar,
+    ) -> Trajectories:
+        looking = _at_target(routes, durations, target) if config.heading == "target" else None
+        splines = fit(state, jnp.asarray(routes.waypoints), durations, max_yaw_rate, looking)
         probability = None if classifier is None else classifier.predict(splines, vehicle).probability
+        paths = jnp.asarray(routes.samples)
         return Trajectories(
-            splines, check_flight(splines, jnp.asarray(routes.samples), vehicle, config.checks, probability)
+            splines, check_flight(splines, paths, vehicle, config.checks, probability, least_probability)
         )
 
     def clear(world: World, trajectories: Trajectories, checks: CheckConfig) -> Trajectories:
@@ -163,6 +181,18 @@ def compile_stations(
     fine = dataclasses.replace(config.checks, samples_per_segment=FINER * config.checks.samples_per_segment)
     loosely, finely = (jax.jit(functools.partial(clear, checks=checks)) for checks in (config.checks, fine))
     return Stations(reject, route, by_policy, by_profile, solve, loosely, finely)
+
+
+def _at_target(routes: Routes, durations: Float[Array, "m k"], target: Float[Array, "3"]) -> Float[Array, "n 2 k"]:
+    """Horizontal directions [m] from each waypoint to a target that flies evenly to the meeting; 0 from there on."""
+    waypoints, meet = jnp.asarray(routes.waypoints), jnp.asarray(routes.meet)
+    goal = jnp.take_along_axis(waypoints, meet[None, None], axis=0)
+    times = jnp.concatenate([jnp.zeros_like(durations[:1]), jnp.cumsum(durations, axis=0)])
+    share = (times / time_to(durations, meet)[None])[:, None]
+    before = (jnp.arange(len(waypoints), dtype=meet.dtype)[:, None] < meet[None])[:, None]
+    now = target[None, :, None]
+    there = now + (goal - now) * share
+    return jnp.where(before, there - waypoints, 0.0)[:, :2]
 
 
 def shortened(routes: Routes) -> Routes:

@@ -11,9 +11,9 @@ from jaxtyping import Float, Int, UInt32
 
 from jaxplan.arrival import Arrival, time_to
 from jaxplan.batching import fill, join, pick
-from jaxplan.planner.parts import Parts
+from jaxplan.planner.parts import Allocation, Parts
 from jaxplan.planner.records import Plans
-from jaxplan.planner.stations import Match, Routes, Trajectories, no_trajectories
+from jaxplan.planner.stations import Routes, Trajectories, no_trajectories
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.search.lattice import Paths
 from jaxplan.spline import FlatState
@@ -25,6 +25,7 @@ Rows = Int[np.ndarray, "n"]
 class Matched(NamedTuple):
     """Rows that have durations, but no trajectories yet; filled up to the width of the stations."""
 
+    allocation: Allocation
     rows: Rows
     routes: Routes
     arrival: Arrival
@@ -147,17 +148,17 @@ def bound(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
     return table.against(rows, np.where(late, Reason.ALPHA_LT_1, 0).astype(np.uint32))._replace(alpha=alpha)
 
 
-def match(parts: Parts, allocation: Match, state: FlatState, table: Table, rows: Rows) -> Matched:
+def match(parts: Parts, allocation: Allocation, state: FlatState, table: Table, rows: Rows) -> Matched:
     """Slow at most ``width`` rows down until each arrives at T_goal."""
     padded = fill(rows, parts.config.width)
     routes, least = pick(table.routes, table.route[padded]), np.full(len(padded), parts.config.arrival.least_alpha)
-    return Matched(rows, routes, allocation(state, routes, table.arrival_times(padded), least))
+    return Matched(allocation, rows, routes, allocation.match(state, routes, table.arrival_times(padded), least))
 
 
-def check(parts: Parts, state: FlatState, matched: Matched) -> Checked:
+def check(parts: Parts, state: FlatState, table: Table, matched: Matched) -> Checked:
     """Solve and check the trajectories of the rows just matched."""
-    rows, routes, arrival = matched
-    found = parts.check(state, routes, arrival.durations)
+    allocation, rows, routes, arrival = matched
+    found = parts.check(allocation, state, routes, arrival.durations, np.asarray(table.candidates.target))
     reasons = np.asarray(arrival.reasons) | np.asarray(found.margins.reasons)
     return Checked(rows, np.asarray(arrival.alpha)[: len(rows)], reasons[: len(rows)], found)
 

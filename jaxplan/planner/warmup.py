@@ -29,7 +29,7 @@ def _compile(stations: Stations, world: World, state: FlatState, whole: Routes, 
     routes = cut(whole, length)
     nothing, once = np.zeros(len(routes.count)), np.ones(len(routes.count))
     arrival, _ = (match(state, routes, nothing, once) for match in (stations.match_profile, stations.match_policy))
-    solved = stations.solve(state, routes, arrival.durations)
+    solved = stations.solve(state, routes, arrival.durations, np.asarray(state.pos), 1.0)
     jax.block_until_ready([clear(world, solved) for clear in (stations.clear, stations.clear_finely)])
 
 

@@ -3,6 +3,7 @@
 import enum
 import functools
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,11 +11,13 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxplan.arrays import AnyArray, Scalar
+from jaxplan.numerics import safe_divide
 from jaxplan.precision import in_float64
 from jaxplan.spline import FlatState, FlatStateBatch, PiecewisePolynomial
 from jaxplan.vehicle.flatness import demand_of
 from jaxplan.vehicle.mixing import inverse_allocation_matrix, signed_sqrt, squared_rotor_speeds
 from jaxplan.vehicle.params import Vehicle
+from jaxplan.vehicle.vectors import Entry, Vector, cross, dot, length
 
 
 class Feasibility(enum.IntEnum):
@@ -26,6 +29,15 @@ class Feasibility(enum.IntEnum):
     """All samples are inside, but the bound between them is not tight enough to vouch for the rest."""
     FEASIBLE = 1
     """No instant of the trajectory asks more than the rotors give."""
+
+
+class Effort(NamedTuple):
+    """What a motion asks of the body as a whole."""
+
+    thrust: Entry
+    """Per mass [m/s^2]."""
+    tilting: Entry
+    """How fast the thrust turns [rad/s]: the body rate across it."""
 
 
 def rotor_limit_margin(vehicle: Vehicle, state: FlatState | FlatStateBatch) -> Float[Array, "*b"]:
@@ -50,6 +62,23 @@ def thrust_limit_margin(vehicle: Vehicle, state: FlatState | FlatStateBatch) -> 
     vehicle, squared = _squared_speeds(vehicle, state)
     least, most = vehicle.rotor_speed_min**2, vehicle.rotor_speed_max**2
     return _worst(squared, least, most) / (most - least)
+
+
+def effort_of(vehicle: Vehicle, vel: Vector, acc: Vector, jerk: Vector) -> Effort:
+    """What a motion asks of the body as a whole, against gravity and the drag of still air [SI, world]."""
+    vehicle = vehicle.astype(jnp.asarray(acc[0]).dtype)
+    share, speed = vehicle.drag_coefficient / vehicle.mass, length(vel)
+    along = safe_divide(dot(vel, acc), speed)
+    force = [acc[axis] + share * speed * vel[axis] for axis in range(3)]
+    force[2] = force[2] + vehicle.gravity
+    force_rate = [jerk[axis] + share * (speed * acc[axis] + along * vel[axis]) for axis in range(3)]
+    thrust = length(force)
+    return Effort(thrust, safe_divide(length(cross(force, force_rate)), thrust * thrust))
+
+
+def most_thrust(vehicle: Vehicle) -> Scalar:
+    """Of all rotors together, per mass [m/s^2]."""
+    return 4.0 * vehicle.thrust_coefficient * vehicle.rotor_speed_max**2 / vehicle.mass
 
 
 def least_rotor_margin(vehicle: Vehicle, states: FlatStateBatch) -> Float[Array, "k"]:

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplan.arrays import AnyArray
+from jaxplan.vehicle.limits import most_thrust
 from jaxplan.vehicle.params import Vehicle
 
 
@@ -14,8 +15,7 @@ def reach(vehicle: Vehicle, speed: Float[AnyArray, ""], times: Float[AnyArray, "
     is (m / c) log(cosh(t / tau) + speed / v_inf sinh(t / tau)) with v_inf = sqrt(a m / c) and tau = v_inf / a.
     """
     vehicle = vehicle.astype(jnp.asarray(times).dtype)
-    thrust = 4.0 * vehicle.thrust_coefficient * vehicle.rotor_speed_max**2
-    most = thrust / vehicle.mass + vehicle.gravity
+    most = most_thrust(vehicle) + vehicle.gravity
     drag = jnp.maximum(vehicle.drag_coefficient / vehicle.mass, 1e-9)
     rate = jnp.sqrt(most * drag) * jnp.maximum(times, 0.0)
     grown = 2.0 * jnp.sinh(0.5 * rate) ** 2 + speed * jnp.sqrt(drag / most) * jnp.sinh(rate)

@@ -11,6 +11,7 @@ from jaxplan.arrival import ArrivalConfig
 from jaxplan.compilation import compilations
 from jaxplan.errors import InputError
 from jaxplan.knots import KnotConfig
+from jaxplan.numerics import wrap_angle
 from jaxplan.planner import PlannerConfig, build_planner, select, select_approach
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
@@ -140,6 +141,31 @@ def test_the_heading_is_held_or_follows_the_path(world, heading, turns):
     assert len(yaw) >= 3
     assert (np.abs(yaw).max() > 0.3) == turns
     assert turns or np.abs(yaw).max() < 1e-9
+
+
+def test_the_vehicle_looks_at_the_target_until_they_meet(world, moving):
+    """As far as the yaw rate allows: a target straight ahead is in view all the time, one behind comes into view."""
+    config = dataclasses.replace(CONFIG, heading="target", max_yaw_rate=3.0)
+    planner = build_planner(config, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
+    turned = 0
+    for seed in range(2):
+        given = candidates(36, seed)
+        plans = planner.plan_batch(moving, given)
+        for index in np.flatnonzero(plans.reasons == 0):
+            spline, meeting = plans.spline(index), plans.arrival_times[index]
+            knots = np.concatenate([[0.0], np.cumsum(spline.durations)])
+            yaw, knots = spline.state(knots).yaw[:, 0], knots[: np.argmin(np.abs(knots - meeting))]
+            np.testing.assert_allclose(yaw[len(knots) :], yaw[len(knots) - 1], **tolerance("solve"))
+            share = (knots / meeting)[:, None]
+            away = (1.0 - share) * given.target + share * plans.goals[index] - spline.state(knots).pos
+            off = np.abs(wrap_angle(np.arctan2(away[:, 1], away[:, 0]) - yaw[: len(knots)]))
+            fastest = np.abs(np.diff(yaw)) / spline.durations
+            assert fastest.max(initial=0.0) <= 3.0 + 1e-6
+            limited = np.concatenate([[True], fastest[: len(knots) - 1] > 3.0 - 1e-6])
+            near = np.hypot(away[:, 0], away[:, 1]) < 0.25
+            assert (limited | near | (off < 1e-6)).all()
+            turned += int((~limited & ~near).sum())
+    assert turned >= 3
 
 
 def test_taking_the_best_first_finds_the_winner_of_an_exhaustive_evaluation(world, moving):

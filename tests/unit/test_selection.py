@@ -131,9 +131,9 @@ def test_nan_is_a_reason_and_stays_in_its_lane(room):
 
 
 def test_a_probability_decides_instead_of_the_rotor_limits(room):
-    """One flight far beyond the rotors and one at ease, each believed in and doubted; NaN is doubted."""
+    """A quick flight and one at ease, each believed in and doubted; NaN is doubted."""
     waypoints = np.repeat(np.linspace([-3.0, -3, 0], [-3, 3, 0], 4)[..., None], 5, axis=-1)
-    durations = np.array([0.1, 0.1, 3.0, 3.0, 3.0]) * np.ones((3, 1))
+    durations = np.array([0.6, 0.6, 3.0, 3.0, 3.0]) * np.ones((3, 1))
     chances = jnp.array([0.9, 0.1, 0.9, 0.1, jnp.nan])
 
     def trace(waypoints, durations, chances):
@@ -147,6 +147,23 @@ def test_a_probability_decides_instead_of_the_rotor_limits(room):
     assert not (np.asarray(margins.reasons) & int(Reason.LIMITS)).any()
     assert np.isnan(np.asarray(margins.rotor_speed)).all()
     np.testing.assert_allclose(margins.probability, chances, **tolerance("solve"))
+
+
+def test_nobody_believes_in_more_than_all_rotors_give_or_in_a_flick_of_the_body(room):
+    """Whatever the probability: 2 m in 0.1 s, and a reversal within 0.2 s that all rotors have the thrust for."""
+    waypoints = np.zeros((4, 3, 3))
+    waypoints[:, :, 0] = waypoints[:, :, 1] = np.linspace([-3.0, -3, 0], [-3, 3, 0], 4)
+    waypoints[:, :, 2] = [[-3.0, -3, 0], [-3, -2.85, 0], [-3, -3, 0], [-3, -2.85, 0]]
+    durations = np.array([0.1, 3.0, 0.2]) * np.ones((3, 1))
+
+    def trace(waypoints, durations):
+        splines = fit(hover(np.array([-3.0, -3, 0])), waypoints, durations, 3.0)
+        return check(splines, waypoints, room, load_vehicle(), CheckConfig(), jnp.ones(3))
+
+    with jax.enable_x64(True):
+        reasons = np.asarray(jax.jit(trace)(waypoints, durations).reasons)
+    assert ((reasons & int(Reason.LIMITS)) != 0).tolist() == [True, False, False]
+    assert ((reasons & int(Reason.BODY_RATE)) != 0).tolist() == [True, False, True]
 
 
 def test_selection_takes_the_best_usable_and_never_a_default():
@@ -164,6 +181,7 @@ def test_configuration_is_checked():
         {"samples_per_segment": 1},
         {"instants": 1},
         {"least_probability": 1.5},
+        {"max_body_rate": 0.0},
     ):
         with pytest.raises(InputError, match=f"^checks: {next(iter(wrong))} is "):
             CheckConfig(**wrong)
