@@ -1,0 +1,110 @@
+"""What a planner does with each of its options: how it meets, where it looks, who allots the times."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from jaxplan.arrival import ArrivalConfig
+from jaxplan.errors import InputError
+from jaxplan.numerics import wrap_angle
+from jaxplan.planner import PlannerConfig, build_planner, select
+from jaxplan.policy.constant_speed import constant_speed_policy
+from jaxplan.spline import hover
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.world.load import load_world
+from oracles.planner_cases import CONFIG, START, candidates, in_flight
+from tolerances import relative, tolerance
+
+
+@pytest.fixture(scope="module")
+def world():
+    return load_world("env1")
+
+
+@pytest.fixture(scope="module")
+def moving():
+    return in_flight()
+
+
+def test_at_rest_at_the_goal_where_that_is_wanted(world, moving):
+    """As in the paper: alpha at least 1, the plan ends at its goal when the target is there."""
+    config = dataclasses.replace(CONFIG, meet="rest", heading="path", arrival=ArrivalConfig())
+    planner = build_planner(config, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
+    plans = planner.plan_batch(moving, candidates(36))
+    usable = np.flatnonzero(plans.reasons == 0)
+    assert len(usable) >= 3
+    for index in usable:
+        spline = plans.spline(index)
+        assert float(spline.duration) == pytest.approx(plans.arrival_times[index], **relative("formula"))
+        np.testing.assert_allclose(spline.state(float(spline.duration)).pos, plans.goals[index], **tolerance("solve"))
+        assert plans.alpha[index] >= 1.0 - 2e-3
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"meet": "crash"}, "meet"),
+        ({"heading": "down"}, "heading"),
+        ({"allocate": "network"}, "allocate"),
+        ({"policy_speed": -1.0}, "policy_speed"),
+        ({"meet": "pass", "search": "multi-resolution"}, "meet 'rest'"),
+    ],
+)
+def test_meetings_that_cannot_be_are_refused(options, said):
+    with pytest.raises(InputError, match=said):
+        PlannerConfig(**options)
+
+
+@pytest.mark.parametrize(("heading", "turns"), [("hold", False), pytest.param("path", True, marks=pytest.mark.slow)])
+def test_the_heading_is_held_or_follows_the_path(world, heading, turns):
+    config = dataclasses.replace(CONFIG, heading=heading)
+    planner = build_planner(config, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
+    plans = planner.plan_batch(hover(START), candidates(36))
+    yaw = [plans.spline(index).state(3.0).yaw[0] for index in np.flatnonzero(plans.reasons == 0)]
+    assert len(yaw) >= 3
+    assert (np.abs(yaw).max() > 0.3) == turns
+    assert turns or np.abs(yaw).max() < 1e-9
+
+
+def test_the_vehicle_looks_at_the_target_until_they_meet(world, moving):
+    """As far as the yaw rate allows: a target straight ahead is in view all the time, one behind comes into view."""
+    config = dataclasses.replace(CONFIG, heading="target", max_yaw_rate=3.0)
+    planner = build_planner(config, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
+    turned = 0
+    for seed in range(2):
+        given = candidates(36, seed)
+        plans = planner.plan_batch(moving, given)
+        for index in np.flatnonzero(plans.reasons == 0):
+            spline, meeting = plans.spline(index), plans.arrival_times[index]
+            knots = np.concatenate([[0.0], np.cumsum(spline.durations)])
+            yaw, knots = spline.state(knots).yaw[:, 0], knots[: np.argmin(np.abs(knots - meeting))]
+            np.testing.assert_allclose(yaw[len(knots) :], yaw[len(knots) - 1], **tolerance("solve"))
+            share = (knots / meeting)[:, None]
+            away = (1.0 - share) * given.target + share * plans.goals[index] - spline.state(knots).pos
+            off = np.abs(wrap_angle(np.arctan2(away[:, 1], away[:, 0]) - yaw[: len(knots)]))
+            fastest = np.abs(np.diff(yaw)) / spline.durations
+            assert fastest.max(initial=0.0) <= 3.0 + 1e-6
+            limited = np.concatenate([[True], fastest[: len(knots) - 1] > 3.0 - 1e-6])
+            near = np.hypot(away[:, 0], away[:, 1]) < 0.25
+            assert (limited | near | (off < 1e-6)).all()
+            turned += int((~limited & ~near).sum())
+    assert turned >= 3
+
+
+def test_both_allocations_find_what_either_finds(world, moving):
+    """The better winner of the two; from a start that is too fast for the policy that of the profile."""
+    vehicle, policy = load_vehicle(), constant_speed_policy()
+    options = {name: {"allocate": name} for name in ("policy", "profile", "both")} | {"fast": {"policy_speed": 1.0}}
+    planners = {
+        name: build_planner(dataclasses.replace(CONFIG, **some), world=world, vehicle=vehicle, policy=policy)
+        for name, some in options.items()
+    }
+    better = set()
+    for seed in range(4):
+        plans = {name: planner.plan_batch(moving, candidates(40, seed)) for name, planner in planners.items()}
+        score = {name: some.score[select(some)] if select(some) >= 0 else -np.inf for name, some in plans.items()}
+        assert score["both"] == max(score["policy"], score["profile"])
+        assert score["fast"] == score["profile"]
+        better |= {name for name in ("policy", "profile") if score[name] < score["both"]}
+    assert better == {"policy", "profile"}
