@@ -8,7 +8,7 @@ OUT ?= out/demo
 PYTEST_ARGS ?= -n 2 --dist loadfile --no-loadscope-reorder
 # What runs on JAX and MJX, and the code of the docs: enough to tell whether another version of them holds.
 JAX_TESTS = $(wildcard tests/unit/test_minsnap_*.py tests/unit/test_spline*.py tests/unit/test_tracking_*.py \
-    tests/unit/test_vehicle_*.py) $(addprefix tests/unit/test_, arrival.py feasibility.py knots.py policy.py \
+    tests/unit/test_vehicle_*.py) $(addprefix tests/unit/test_, arrival.py feasibility.py knots.py policy.py policy_speed_profile.py \
     prediction_mixture.py selection.py world_clearance.py) $(addprefix tests/integration/test_, canaries.py docs.py \
     planner.py replanner.py plant_tools.py)
 

@@ -1,6 +1,7 @@
 """The planner as a whole, in environment 1: invariants that no station can promise alone."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -70,15 +71,15 @@ def test_the_looseness_of_a_bound_rejects_nobody(world, moving):
     vehicle, checks = load_vehicle(), CheckConfig(samples_per_segment=4)
     config = dataclasses.replace(CONFIG, checks=checks, exhaustive=True)
     planner = build_planner(config, world=world, vehicle=vehicle, policy=constant_speed_policy())
+    by_few, by_many = (
+        jax.jit(functools.partial(check_clearance, world=world, vehicle=vehicle, config=some))
+        for some in (checks, dataclasses.replace(checks, samples_per_segment=16))
+    )
     changed = 0
     for seed in range(4):
         plans = planner.plan_batch(moving, candidates(36, seed))
         with jax.enable_x64(True):
-            splines = jax.tree.map(jnp.asarray, plans.splines)
-            loose, tight = (
-                np.asarray(check_clearance(plans.margins, splines, world, vehicle, some).clearance)
-                for some in (checks, dataclasses.replace(checks, samples_per_segment=16))
-            )
+            loose, tight = (np.asarray(clear(plans.margins, plans.splines).clearance) for clear in (by_few, by_many))
         least = vehicle.radius + checks.tracking_margin
         others = np.asarray(plans.margins.reasons) & ~np.uint32(Reason.CLEARANCE)
         passed = np.asarray(plans.margins.reasons) == 0

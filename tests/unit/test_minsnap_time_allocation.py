@@ -61,6 +61,7 @@ def test_fixed_total_time_is_kept_and_shared_best():
             assert smoothness(waypoints[..., lane], moved) > found.cost[lane] * (1.0 - 1e-4)
 
 
+@pytest.mark.slow
 def test_as_good_as_a_published_allocation(examples):
     rows = [line.strip() for line in (examples / "minsnap" / "mfrl_example.yaml").read_text().splitlines()]
     points = np.array([[float(v) for v in row[3:-1].split(",")] for row in rows if row.startswith("- [")])[:, :3]
@@ -108,6 +109,7 @@ def test_mixed_lengths_and_a_bad_lane_do_not_disturb_the_others():
         assert not found.durations[counts[lane] :, lane].any()
 
 
+@pytest.mark.slow
 def test_yaw_counts_towards_the_smoothness():
     waypoints = random_waypoints(1)
     yaw = np.linspace(0.0, 300.0, 6)[:, None]

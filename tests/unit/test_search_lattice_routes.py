@@ -1,6 +1,5 @@
 """Routes on lattices: straight where in sight, bounded in effort, correct under threads and without compiling."""
 
-import concurrent.futures
 import itertools
 import subprocess
 import sys
@@ -17,7 +16,8 @@ from jaxplan.search.routes import find_routes, warmup
 from jaxplan.status import Note, Reason
 from jaxplan.world.clearance import clearance
 from jaxplan.world.load import ENVIRONMENTS, load_world
-from jaxplan.world.obstacles import World, aligned_boxes, make_obstacles
+from jaxplan.world.obstacles import World
+from oracles.search_rooms import room
 from oracles.search_sight import crossed_cells
 from tolerances import tolerance
 
@@ -40,13 +40,6 @@ def free_goals(lattices: Lattices, count: int, seed: int) -> np.ndarray:
     grid = lattices.levels[0].grid
     cells = np.argwhere(~grid.occupied)
     return grid.origin + (cells[rng.integers(len(cells), size=count)] + rng.uniform(0.05, 0.95, (count, 3))) * 0.1
-
-
-def room(*corners: list[list[float]]) -> World:
-    lower, upper = np.array([c[0] for c in corners]), np.array([c[1] for c in corners])
-    obstacles = make_obstacles(boxes=aligned_boxes(lower, upper))
-    bounds = np.array([[0.0, 0.0, 0.0], [10.0, 10.0, 2.0]])
-    return World(name="room", bounds=bounds, obstacles=obstacles, keep_in=np.float64(0.2))
 
 
 @pytest.mark.parametrize("distance", DISTANCES)
@@ -124,23 +117,6 @@ def test_goals_behind_a_closed_wall_have_no_path_and_cost_nothing() -> None:
     assert np.isinf(routes.length[0])
 
 
-def test_bad_goals_are_masked_and_disturb_nobody(world: World, lattices: Lattices) -> None:
-    good = free_goals(lattices, 8, seed=1)
-    specials = [np.nan, np.inf, -np.inf, 2.0**31, -1e300, 15.1, 1e30]
-    bad = np.array([[value, 0.0, 1.0] for value in specials] + [[0.0, 0.0, value] for value in specials])
-    routes = find_routes(lattices, world, world.start, np.concatenate([bad, good]), 5.0)
-    alone = find_routes(lattices, world, world.start, good, 5.0)
-    assert (routes.reasons[: len(bad)] == Reason.NO_PATH).all()
-    np.testing.assert_array_equal(routes.points[len(bad) :], alone.points)
-    assert np.isfinite(routes.points).all()
-
-
-@pytest.mark.parametrize("start", [[np.nan, 0.0, 1.0], [0.0, 0.0, 50.0]])
-def test_hopeless_starts(world: World, lattices: Lattices, start: list[float]) -> None:
-    routes = find_routes(lattices, world, np.array(start), free_goals(lattices, 3, seed=0), 5.0)
-    assert (routes.reasons == Reason.NO_PATH).all()
-
-
 def test_a_padded_start_escapes_first() -> None:
     world = room([[5.0, 0.0, 0.0], [5.02, 10.0, 2.0]])
     start = np.array([4.8, 5.0, 1.0])
@@ -153,35 +129,6 @@ def test_a_padded_start_escapes_first() -> None:
     assert routes.points[0, 1, 0] < 4.5
     steps = np.linalg.norm(np.diff(routes.points[0], axis=0), axis=1)
     assert routes.length[0] == pytest.approx(steps.sum())
-
-
-def test_more_corners_than_the_capacity_give_a_prefix() -> None:
-    walls = [
-        [[1.6 + 2.2 * i, 0.0 if i % 2 else 2.0, 0.0], [1.7 + 2.2 * i, 8.0 if i % 2 else 10.0, 2.0]] for i in range(4)
-    ]
-    world = room(*walls)
-    lattices = build_lattices(world, LATTICES)
-    start, goal = np.array([0.8, 9.0, 1.0]), np.array([[9.2, 5.0, 1.0]])
-    whole = find_routes(lattices, world, start, goal, 9.0)
-    short = find_routes(lattices, world, start, goal, 9.0, capacity=3)
-    assert whole.count[0] > 4
-    assert short.count[0] == 3
-    assert short.reasons[0] == Reason.PREFIX_ONLY
-    assert short.length[0] == whole.length[0]
-    np.testing.assert_array_equal(short.points[0], whole.points[0, :3])
-
-
-def test_threads_agree_with_one_thread(world: World, lattices: Lattices) -> None:
-    queries = [(free_goals(lattices, 50, seed), 3.0 * (seed % 4)) for seed in range(16)]
-
-    def answer(query: tuple[np.ndarray, float]) -> np.ndarray:
-        return find_routes(lattices, world, world.start, *query).points
-
-    alone = [answer(query) for query in queries]
-    with concurrent.futures.ThreadPoolExecutor(4) as pool:
-        together = list(pool.map(answer, queries))
-    for one, other in zip(alone, together, strict=True):
-        np.testing.assert_array_equal(one, other)
 
 
 def test_nothing_compiles_after_warm_up(world: World, lattices: Lattices, compilations) -> None:  # type: ignore[no-untyped-def]

@@ -1,6 +1,5 @@
 """Routes over the roadmap: near the shortest, clear of obstacles, complete, the same in threads, without compiling."""
 
-import concurrent.futures
 import itertools
 import math
 from pathlib import Path
@@ -17,6 +16,7 @@ from jaxplan.status import Note, Reason
 from jaxplan.world.load import ENVIRONMENTS, load_world
 from jaxplan.world.obstacles import Capsules, Cylinders, Planes, Spheres, World, aligned_boxes, make_obstacles
 from jaxplan.world.occupancy import exact_clearance
+from oracles.search_rooms import free_points, room
 from tolerances import relative
 
 UNLIMITED = SearchConfig(
@@ -33,21 +33,6 @@ def world(request: pytest.FixtureRequest) -> World:
 @pytest.fixture(scope="module")
 def lattices(world: World) -> Lattices:
     return build_lattices(world)
-
-
-def free_points(world: World, count: int, seed: int, padding: float = 0.5) -> np.ndarray:
-    rng, keep_in, found = np.random.default_rng(seed), float(world.keep_in), np.zeros((0, 3))
-    while len(found) < count:
-        points = rng.uniform(world.bounds[0] + keep_in, world.bounds[1] - keep_in, (512, 3))
-        found = np.concatenate([found, points[exact_clearance(world.obstacles, points) >= padding]])
-    return found[:count]
-
-
-def room(*corners: list[list[float]]) -> World:
-    lower, upper = np.array([c[0] for c in corners]), np.array([c[1] for c in corners])
-    obstacles = make_obstacles(boxes=aligned_boxes(lower, upper))
-    bounds = np.array([[0.0, 0.0, 0.0], [10.0, 10.0, 2.0]])
-    return World(name="room", bounds=bounds, obstacles=obstacles, keep_in=np.float64(0.2))
 
 
 def least_clearance(world: World, points: np.ndarray, count: int) -> float:
@@ -229,23 +214,6 @@ def test_no_reachable_goal_is_missed(examples: Path) -> None:
     assert max(clutter) > 0.3
 
 
-def test_bad_goals_are_masked_and_disturb_nobody(world: World, lattices: Lattices) -> None:
-    good = free_points(world, 8, seed=1)
-    specials = [np.nan, np.inf, -np.inf, 2.0**31, -1e300, 15.1, 1e30]
-    bad = np.array([[value, 0.0, 1.0] for value in specials] + [[0.0, 0.0, value] for value in specials])
-    routes = find_routes(lattices, world, world.start, np.concatenate([bad, good]), 5.0)
-    alone = find_routes(lattices, world, world.start, good, 5.0)
-    assert (routes.reasons[: len(bad)] == Reason.NO_PATH).all()
-    np.testing.assert_array_equal(routes.points[len(bad) :], alone.points)
-    assert np.isfinite(routes.points).all()
-
-
-@pytest.mark.parametrize("start", [[np.nan, 0.0, 1.0], [0.0, 0.0, 50.0]])
-def test_hopeless_starts(world: World, lattices: Lattices, start: list[float]) -> None:
-    routes = find_routes(lattices, world, np.array(start), free_points(world, 3, seed=0), 5.0)
-    assert (routes.reasons == Reason.NO_PATH).all()
-
-
 @pytest.mark.parametrize("depth", [0.05, 0.1, 0.25, 0.45])
 def test_a_padded_start_leaves_on_its_own_side_and_comes_no_closer(depth: float) -> None:
     world = room([[5.0, 0.0, 0.0], [5.02, 10.0, 2.0]])
@@ -256,35 +224,6 @@ def test_a_padded_start_leaves_on_its_own_side_and_comes_no_closer(depth: float)
     np.testing.assert_array_equal(routes.points[0, 0], start)
     assert least_clearance(world, routes.points[0], int(routes.count[0])) >= depth - 1e-3
     assert routes.count[0] == 2 + (depth < 0.2)  # from very close the way out comes first
-
-
-def test_more_corners_than_the_capacity_give_a_prefix() -> None:
-    walls = [
-        [[1.6 + 2.2 * i, 0.0 if i % 2 else 2.0, 0.0], [1.7 + 2.2 * i, 8.0 if i % 2 else 10.0, 2.0]] for i in range(4)
-    ]
-    world = room(*walls)
-    lattices = build_lattices(world)
-    start, goal = np.array([0.8, 9.0, 1.0]), np.array([[9.2, 5.0, 1.0]])
-    whole = find_routes(lattices, world, start, goal, 9.0)
-    short = find_routes(lattices, world, start, goal, 9.0, capacity=3)
-    assert whole.count[0] > 4
-    assert short.count[0] == 3
-    assert short.reasons[0] == Reason.PREFIX_ONLY
-    assert short.length[0] == whole.length[0]
-    np.testing.assert_array_equal(short.points[0], whole.points[0, :3])
-
-
-def test_threads_agree_with_one_thread(world: World, lattices: Lattices) -> None:
-    queries = [free_points(world, 50, seed) for seed in range(16)]
-
-    def answer(goals: np.ndarray) -> np.ndarray:
-        return find_routes(lattices, world, world.start, goals, 3.0).points
-
-    alone = [answer(goals) for goals in queries]
-    with concurrent.futures.ThreadPoolExecutor(4) as pool:
-        together = list(pool.map(answer, queries))
-    for one, other in zip(alone, together, strict=True):
-        np.testing.assert_array_equal(one, other)
 
 
 def test_nothing_compiles_after_warm_up(world: World, lattices: Lattices, compilations) -> None:  # type: ignore[no-untyped-def]

@@ -38,6 +38,7 @@ def test_low_fidelity_is_the_worst_rotor_along_the_way() -> None:
     assert np.all(labels.margin[12:] == -np.inf)
 
 
+@pytest.mark.slow
 def test_both_fidelities_take_the_same_input_and_mostly_agree() -> None:
     splines = random_splines(100, seed=3)
     low, high = (build_labeller(fidelity)(splines) for fidelity in ("rotor-limits", "rollout"))
