@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxplan.errors import InputError
-from jaxplan.planner import Approaches, Planner, Plans, Timer, select, select_approach
+from jaxplan.planner import Approaches, Planner, Plans, Stops, Timer, select, select_approach, select_stop
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.protocol import Predictor
@@ -23,6 +23,7 @@ from jaxplan.records import replace
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import Note, PlanStatus, Reason, count_reasons
 from jaxplan.validation import require_positive
+from jaxplan.world.update import Change
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,7 +82,7 @@ class Cycle(NamedTuple):
 class _Chosen(NamedTuple):
     """What a cycle commits."""
 
-    among: Plans | Approaches
+    among: Plans | Approaches | Stops
     place: int
     slowdown: float
     """Multiple of the least time that the trajectory takes."""
@@ -99,6 +100,7 @@ class Replanner:
         self.plans: list[CommittedPlan] = [_hold(start)]
         self._cycles = 0
         self._last = -np.inf
+        self._certain = True
 
     @property
     def ever_planned(self) -> bool:
@@ -127,6 +129,14 @@ class Replanner:
         states = self.reference(np.array([time]))
         return FlatState(derivatives=states.derivatives[0], yaw=states.yaw[0])
 
+    def update(self, change: Change) -> None:
+        """Plan in a changed world from the next cycle on, and look there whether the committed plan is still clear.
+
+        Where it is not it is no rival any more, and where no other plan is found the vehicle stops.
+        """
+        self.planner = self.planner.update(change)
+        self._certain = False
+
     def step(self, now: float, observations: Observations) -> Cycle:
         """Predict, plan and decide at time ``now`` [s] from the newest observations.
 
@@ -142,7 +152,8 @@ class Replanner:
         self._cycles += 1
         candidates = replace(predicted, arrival_times=np.asarray(predicted.arrival_times) - self.config.latency)
         timer.lap("predict", predicted)
-        incumbent = self._incumbent_score(candidates, takeover)
+        self._certain = self._certain or self.planner.is_clear(self.committed.spline, now - self.committed.start_time)
+        incumbent = self._incumbent_score(candidates, takeover) if self._certain else -np.inf
         plans = self.planner.plan_batch(state, candidates, timer, incumbent)
         status, chosen = self._decide(state, candidates, plans, incumbent, timer)
         timer.lap("select")
@@ -176,6 +187,10 @@ class Replanner:
         best = select_approach(approaches)
         if best >= 0:
             return PlanStatus.APPROACH, _Chosen(approaches, best, float(approaches.alpha[best]))
+        if not self._certain:
+            stops = self.planner.brake(state)
+            best = select_stop(stops)
+            return (PlanStatus.BRAKE, _Chosen(stops, best, np.nan)) if best >= 0 else (PlanStatus.BLOCKED, None)
         if (np.asarray(candidates.reasons) & np.uint32(Reason.TARGET_LOST)).all():
             return PlanStatus.TARGET_LOST, None
         usable = bool((plans.reasons == 0).any()) or len(approaches.reasons) > 0
@@ -208,6 +223,7 @@ class Replanner:
             probability=among.probability(index),
         )
         self.plans.append(plan)
+        self._certain = True
         jump = np.abs(spline.state(0.0).derivatives - state.derivatives).max(axis=-1)
         jump[4] /= max(float(np.abs(state.snap).max()), 1.0)
         return jump

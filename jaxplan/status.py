@@ -80,6 +80,10 @@ class PlanStatus(enum.IntEnum):
     """The target has been silent for too long; the committed trajectory stays."""
     LATE = 6
     """A better trajectory was ready only after it would have had to take over; the committed one stays."""
+    BRAKE = 7
+    """The world has changed, the committed trajectory is not clear any more, and none other was found but a stop."""
+    BLOCKED = 8
+    """As for BRAKE, but no stop is clear either; the committed trajectory stays, and the next cycle looks again."""
 
 
 def bit(bad: Bool[Array, "*batch"], reason: enum.IntFlag) -> UInt32[Array, "*batch"]:

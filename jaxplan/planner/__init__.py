@@ -4,7 +4,16 @@ candidates -> search -> knots -> policy <-> arrival -> minimum snap -> checks ->
 """
 
 from jaxplan.planner.build import build_planner
-from jaxplan.planner.records import Approaches, Planner, PlannerConfig, Plans, select, select_approach
+from jaxplan.planner.records import (
+    Approaches,
+    Planner,
+    PlannerConfig,
+    Plans,
+    Stops,
+    select,
+    select_approach,
+    select_stop,
+)
 from jaxplan.planner.timer import Timer
 
 __all__ = [
@@ -12,8 +21,10 @@ __all__ = [
     "Planner",
     "PlannerConfig",
     "Plans",
+    "Stops",
     "Timer",
     "build_planner",
     "select",
     "select_approach",
+    "select_stop",
 ]

@@ -12,6 +12,7 @@ import numpy as np
 from jaxplan.feasibility.classifier import Classifier
 from jaxplan.planner.approach import approach
 from jaxplan.planner.border import usual_candidates, usual_state
+from jaxplan.planner.brake import brake, is_clear
 from jaxplan.planner.parts import Parts
 from jaxplan.planner.records import Planner, PlannerConfig, Plans
 from jaxplan.planner.stations import compile_stations
@@ -63,7 +64,9 @@ def build_planner(
         least_padding=least if config.narrow_passages else None,
     )
     lattices = build_lattices(world, options)
-    return _planner(Parts(config, compile_stations(config, vehicle, policy, classifier), lattices, _on_device(world)))
+    stations = compile_stations(config, vehicle, policy, classifier)
+    clearance = float(vehicle.radius) + config.checks.tracking_margin
+    return _planner(Parts(config, stations, lattices, _on_device(world), clearance))
 
 
 def _planner(parts: Parts) -> Planner:
@@ -71,6 +74,8 @@ def _planner(parts: Parts) -> Planner:
     return Planner(
         plan_batch=functools.partial(in_float64(plan_batch), parts),
         approach=functools.partial(in_float64(approach), parts),
+        is_clear=functools.partial(is_clear, parts),
+        brake=functools.partial(in_float64(brake), parts),
         warmup=functools.partial(in_float64(_warmup), parts),
         in_world=functools.partial(_in_world, parts),
         update=functools.partial(_updated, parts),
@@ -152,6 +157,7 @@ def _warmup(parts: Parts, state: FlatState) -> None:
     candidates = _candidates_around(state, parts.config.width)
     plan_batch(parts, state, candidates)
     approach(parts, state, candidates)
+    is_clear(parts, brake(parts, state).spline(0), 0.0)
 
 
 def _candidates_around(state: FlatState, count: int) -> Candidates:

@@ -39,6 +39,8 @@ class Parts(NamedTuple):
     stations: Stations
     lattices: Lattices
     world: World
+    least_clearance: float
+    """What every trajectory keeps [m]: the vehicle's radius and the tracking margin."""
 
     def reject(self, state: FlatState, candidates: Candidates) -> UInt32[np.ndarray, "k"]:
         """Early reasons against each candidate."""

@@ -18,6 +18,7 @@ from jaxplan.search.lattice import METHODS
 from jaxplan.selection import CheckConfig, Margins
 from jaxplan.selection import select as select_best
 from jaxplan.spline import FlatState, PiecewisePolynomial
+from jaxplan.status import Reason
 from jaxplan.validation import checks_itself, require_at_least, require_one_of, require_positive, require_within
 from jaxplan.world.obstacles import World
 from jaxplan.world.update import Change
@@ -127,6 +128,28 @@ class Approaches:
         return float(np.asarray(self.margins.probability)[index])
 
 
+@record
+class Stops:
+    """Trajectories that come to rest as soon as may be, each in a direction and at a deceleration of its own."""
+
+    goals: Float[np.ndarray, "n 3"]
+    """Where they end [m, world]."""
+    arrival_times: Float[np.ndarray, "n"]
+    """How long they take [s]."""
+    reasons: UInt32[np.ndarray, "n"]
+    """0 means usable."""
+    splines: SplineBatch
+    margins: Margins
+
+    def spline(self, index: SupportsIndex) -> PiecewisePolynomial:
+        """One of the trajectories (host, NumPy)."""
+        return self.splines.spline(index)
+
+    def probability(self, index: SupportsIndex) -> float:
+        """As ``Approaches.probability``."""
+        return float(np.asarray(self.margins.probability)[index])
+
+
 def select(plans: Plans) -> int:
     """Index of the candidate to commit; -1 when nothing is usable, never index 0 by accident."""
     return select_best(plans.score, plans.reasons)
@@ -135,6 +158,17 @@ def select(plans: Plans) -> int:
 def select_approach(approaches: Approaches) -> int:
     """Index of the approach that is least late; -1 when none is usable."""
     return select_best(-approaches.lateness, approaches.reasons)
+
+
+def select_stop(stops: Stops) -> int:
+    """Index of the stop that is soonest at rest; where none passes, of a clear one that the vehicle might not track.
+
+    -1 when none is clear.
+    """
+    best = select_best(-stops.arrival_times, stops.reasons)
+    blocked = stops.reasons & np.uint32(Reason.CLEARANCE | Reason.NONFINITE)
+    looked_at = np.isfinite(np.asarray(stops.margins.clearance))
+    return best if best >= 0 else select_best(np.where(looked_at, stops.arrival_times, np.nan), blocked)
 
 
 class PlanBatch(Protocol):
@@ -155,6 +189,20 @@ class Approach(Protocol):
     """Trajectories towards the latest candidates, only late, for when none can be met."""
 
     def __call__(self, state: FlatState, candidates: Candidates) -> Approaches:
+        """As ``PlanBatch``."""
+
+
+class IsClear(Protocol):
+    """Whether a trajectory may still be flown in the planner's world."""
+
+    def __call__(self, spline: PiecewisePolynomial, since: float) -> bool:
+        """Looks at it from ``since`` [s of its own time] to its end; compiles nothing."""
+
+
+class Brake(Protocol):
+    """Stops, for when the committed plan may not be flown any more and there is no other."""
+
+    def __call__(self, state: FlatState) -> Stops:
         """As ``PlanBatch``."""
 
 
@@ -187,6 +235,8 @@ class Planner(NamedTuple):
 
     plan_batch: PlanBatch
     approach: Approach
+    is_clear: IsClear
+    brake: Brake
     warmup: Warmup
     in_world: InWorld
     update: Update
