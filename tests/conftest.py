@@ -6,8 +6,6 @@ dtypes, which the library's own code does not need. The library must work withou
 ``tests/integration/test_docs.py`` runs it in processes of its own.
 """
 
-import ctypes
-import gc
 import os
 import signal
 import tempfile
@@ -35,7 +33,6 @@ if os.environ.get("JAXPLAN_STRICT", "1") == "1":
     jax.config.update("jax_numpy_rank_promotion", "raise")
     jax.config.update("jax_numpy_dtype_promotion", "strict")
 
-C_LIBRARY = ctypes.CDLL(None) if os.name == "posix" else None
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 settings.register_profile(
@@ -67,9 +64,6 @@ def forget_programs() -> Iterator[None]:
     """No module's compiled programs stay in memory after it."""
     yield
     jax.clear_caches()
-    gc.collect()
-    if hasattr(C_LIBRARY, "malloc_trim"):  # glibc keeps what was freed otherwise
-        C_LIBRARY.malloc_trim(0)
 
 
 @pytest.fixture
