@@ -17,6 +17,7 @@ from jaxplan.world.clearance import free_distance
 from jaxplan.world.load import load_world
 from jaxplan.world.update import update_world, with_spare_boxes
 from oracles.planner_cases import CONFIG, START
+from tolerances import tolerance
 
 GOALS = np.array([[-4.0, 3.0, 1.0], [-4.2, 4.0, 1.2], [-3.9, 2.5, 0.8]])
 """Along the wall from the start on."""
@@ -91,7 +92,7 @@ def test_a_change_elsewhere_changes_nothing(planner):
                 replanner.update(change)
             replanner.step(0.1 * cycle, seen)
         ways.append(replanner.reference(np.arange(0.0, 4.0, 0.05)).pos)
-    np.testing.assert_allclose(ways[0], ways[1], atol=1e-9)
+    np.testing.assert_allclose(ways[0], ways[1], **tolerance("formula"))
 
 
 def test_a_hover_where_a_box_appears_is_left_or_said_to_be_blocked(planner):
