@@ -6,6 +6,9 @@ switch is smooth. Every plan ends at rest, so whatever happens to later cycles t
 In order of preference a cycle commits the best plan that meets the target; keeps the committed one while that
 still does, and sooner; approaches the target; keeps what is committed. The paper's fallback (take the latest
 candidate although it cannot be flown in time) is not one of them: see ``docs/decisions/0004-selection.md``.
+
+After a change of the world the committed plan counts only where it is clear; where not, and no other plan is found, the
+vehicle stops.
 """
 
 import dataclasses

@@ -19,7 +19,7 @@ from jaxplan.world.host_distance import host_free_distance
 
 PIECES = 64
 """Of a segment, as many as in the planner's own finer look at the clearance."""
-POINTS_AT_ONCE = 64 * (MAX_WAYPOINTS - 1)
+POINTS_AT_ONCE = PIECES * (MAX_WAYPOINTS - 1)
 """A whole trajectory in one call."""
 DECELERATIONS = (28.0, 20.0, 14.0, 9.0)
 """Mean ones [m/s^2], along the way (arbitrary; the first is near what the preset ``mfrl`` can)."""
