@@ -6,11 +6,11 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 OUT ?= out/demo
 # Two processes, a file each: nearly twice as fast on two cores.
 PYTEST_ARGS ?= -n 2 --dist loadfile --no-loadscope-reorder
-# What runs on JAX and MJX, and the code of the docs: enough to tell whether another version of them holds.
+# What runs on JAX and MJX: with the code of the docs enough to tell whether another version of them holds.
 JAX_TESTS = $(wildcard tests/unit/test_minsnap_*.py tests/unit/test_spline*.py tests/unit/test_tracking_*.py \
     tests/unit/test_vehicle_*.py) $(addprefix tests/unit/test_, arrival.py feasibility.py knots.py policy.py policy_speed_profile.py \
-    prediction_mixture.py selection.py world_clearance.py) $(addprefix tests/integration/test_, canaries.py docs.py \
-    planner.py replanner.py plant_tools.py)
+    prediction_mixture.py selection.py world_clearance.py) $(addprefix tests/integration/test_, canaries.py planner.py \
+    replanner.py plant_tools.py)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
@@ -19,7 +19,7 @@ JAX_TESTS = $(wildcard tests/unit/test_minsnap_*.py tests/unit/test_spline*.py t
 help:
 	@echo "make demo       install, fly one interception, draw it (under 5 minutes)"
 	@echo "make test       the fast tests (PYTHON=python3.12 for another interpreter)"
-	@echo "make test-jax   those of them that touch JAX, MJX and the docs"
+	@echo "make test-jax   those of them that touch JAX and MJX"
 	@echo "make test-slow  the slow tests"
 	@echo "make check      ruff and mypy"
 	@echo "make format     let ruff rewrite what it can"
@@ -66,7 +66,7 @@ bench: $(VENV)/.installed-dev
 	done
 
 docs: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest tests/integration/test_docs.py
+	$(BIN)/python -m pytest -n 2 tests/integration/test_docs.py
 
 clean:
 	rm -rf .venv .venv-* build dist out .pytest_cache .ruff_cache .mypy_cache .hypothesis

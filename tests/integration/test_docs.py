@@ -11,6 +11,8 @@ ROOT = Path(__file__).resolve().parents[2]
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 PAGES = [path for path in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))) if path.is_file()]
 WITH_CODE = [path for path in PAGES if BLOCK.search(path.read_text(encoding="utf-8"))]
+LONG = {"docs/minsnap.md", "docs/plant.md", "docs/policy.md"}
+"""Pages whose code runs for more than ten seconds; `make docs` runs all."""
 LINK = re.compile(r"\]\((?!https?://|#)([^)#]+)(?:#[^)]*)?\)")
 
 
@@ -18,7 +20,9 @@ def name(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
-@pytest.mark.parametrize("path", WITH_CODE, ids=name)
+@pytest.mark.parametrize(
+    "path", [pytest.param(p, id=name(p), marks=[pytest.mark.slow] * (name(p) in LONG)) for p in WITH_CODE]
+)
 def test_code_blocks_run(path: Path, tmp_path: Path) -> None:
     code = "\n".join(BLOCK.findall(path.read_text(encoding="utf-8")))
     done = subprocess.run(

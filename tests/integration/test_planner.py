@@ -66,6 +66,7 @@ def test_usable_plans_keep_every_promise(planner, world, moving):
     assert sum(distance > 0.4 for distance in behind) >= 2
 
 
+@pytest.mark.slow
 def test_the_looseness_of_a_bound_rejects_nobody(world, moving):
     """What a check by few samples doubts is looked at again by four times as many, which decides."""
     vehicle, checks = load_vehicle(), CheckConfig(samples_per_segment=4)
@@ -182,6 +183,7 @@ def test_removing_the_obstacles_never_turns_an_accept_into_a_clearance_reject(wo
     assert (plans.reasons == 0).sum() >= (crowded.reasons == 0).sum()
 
 
+@pytest.mark.slow
 def test_how_many_candidates_a_program_takes_changes_nothing(planner, world, moving):
     """One call for all candidates, or many with a part of them each."""
     wide = build_planner(

@@ -92,6 +92,7 @@ def test_the_vehicle_looks_at_the_target_until_they_meet(world, moving):
     assert turned >= 3
 
 
+@pytest.mark.slow
 def test_both_allocations_find_what_either_finds(world, moving):
     """The better winner of the two; from a start that is too fast for the policy that of the profile."""
     vehicle, policy = load_vehicle(), constant_speed_policy()

@@ -227,6 +227,7 @@ def learnable(count, seed):
     return Labelled(motion, least + 0.2 * rng.normal(size=count) > np.median(least))
 
 
+@pytest.mark.slow
 def test_a_classifier_learns_from_the_low_fidelity_and_is_the_same_from_its_file(tmp_path):
     seen, unseen = learnable(2000, 0), learnable(1000, 1)
     config = ClassifierConfig(inducing=16, steps=400, batch=128, learning_rate=1e-2)
@@ -252,6 +253,7 @@ def test_a_classifier_learns_from_the_low_fidelity_and_is_the_same_from_its_file
         load_classifier(path)
 
 
+@pytest.mark.slow
 def test_another_training_takes_the_same_program(compilations):
     config, labelled = ClassifierConfig(inducing=8, steps=3, batch=16), learnable(40, 0)
     start, _ = train_classifier(config, labelled)

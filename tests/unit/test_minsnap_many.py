@@ -33,7 +33,8 @@ def random_batch(seed=0, width=7, segments=SEGMENTS):
 
 
 @pytest.mark.parametrize(
-    ("terminal", "fixed_order"), [pytest.param("rest", 4, marks=pytest.mark.slow), ("free", 3), ("moving", 4)]
+    ("terminal", "fixed_order"),
+    [*(pytest.param(*ends, marks=pytest.mark.slow) for ends in (("rest", 4), ("free", 3))), ("moving", 4)],
 )
 def test_every_lane_equals_the_single_solver(terminal, fixed_order):
     waypoints, durations, initial = random_batch(width=4)
@@ -170,6 +171,7 @@ def test_gradients_of_a_bad_lane_are_zero_and_of_its_neighbours_right(x64):
     np.testing.assert_array_equal(np.delete(slopes, 3, axis=1), np.delete(expected, 3, axis=1))
 
 
+@pytest.mark.slow
 def test_inside_transformations_it_equals_the_host_call(x64):
     waypoints, durations, initial = random_batch()
     host = jaxplan.minimum_snap_batch(waypoints, durations, initial=initial)
@@ -206,6 +208,7 @@ np.testing.assert_allclose(lanes, slope, rtol=1e-4)
 """
 
 
+@pytest.mark.slow
 def test_works_in_a_process_without_64_bit_types():
     run = subprocess.run([sys.executable, "-c", WITHOUT_64_BITS], capture_output=True, text=True, timeout=200)
     assert run.returncode == 0, run.stderr
@@ -236,6 +239,7 @@ def test_chunks_of_a_large_batch_equal_small_batches():
     np.testing.assert_allclose(whole.splines.position[..., 300:], part.splines.position, **tolerance("formula"))
 
 
+@pytest.mark.slow
 def test_parts_of_a_huge_batch_equal_small_batches():
     """Each of the parts that share the cores, the last one overlapping, arrays of one lane for all, and a bad lane."""
     width = 2 * THREAD_WIDTH + 100

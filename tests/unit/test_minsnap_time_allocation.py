@@ -75,7 +75,8 @@ MARGIN = functools.partial(rotor_limit_margin, load_vehicle())
 margins = jax.jit(jax.vmap(MARGIN))
 
 
-@pytest.mark.parametrize("moving", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow
+@pytest.mark.parametrize("moving", [False, True])
 def test_minimum_time_is_feasible_and_cannot_be_shortened(moving):
     waypoints = random_waypoints(6, 3)
     initial = np.random.default_rng(4).normal(size=(4, 3, 6)) if moving else np.zeros((4, 3, 6))

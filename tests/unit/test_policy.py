@@ -106,6 +106,7 @@ def test_every_derivative_is_seen_over_its_whole_range(policy):
             assert np.abs(slow / fast - 1.0).max() > 1e-4
 
 
+@pytest.mark.slow
 def test_degenerate_sequences_give_finite_durations_and_gradients(policy):
     points, counts, initial = sequences([5, 5, 2, 3])
     points[:, :, 0] = points[:1, :, 0]

@@ -183,6 +183,7 @@ def test_flights_that_were_never_tracked_are_not_imitated(data):
     np.testing.assert_allclose(held_out.durations, 1.2 * shard.durations[:, 10:], **tolerance("solve"))
 
 
+@pytest.mark.slow
 def test_training_learns_and_goes_on_where_it_stopped(tmp_path, data):
     """The weights after an interrupted run are those of an uninterrupted one, bit for bit."""
     whole, error = pretrain(tmp_path / "whole", data, SMALL, report=lambda text: None)
@@ -258,6 +259,7 @@ def test_flight_times_that_do_not_grow_enough_with_alpha_cost_something():
     )
 
 
+@pytest.mark.slow
 def test_total_times_that_are_too_short_cost_more_than_those_too_long(loss):
     value, examples = loss
     examples = examples._replace(sped_up=jnp.zeros_like(examples.sped_up), alpha=jnp.ones_like(examples.alpha))
