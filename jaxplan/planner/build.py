@@ -57,9 +57,11 @@ def build_planner(
     require_same_vehicle("classifier", None if classifier is None else classifier.vehicle, vehicle)
     config = config or PlannerConfig()
     least = min(config.padding, float(vehicle.radius) + config.checks.tracking_margin)
+    factors = (1,) if config.search == "roadmap" else (1, 2, 5, 10)
     options = SearchConfig(
         method=config.search,
-        resolutions=tuple(config.resolution * factor for factor in (1, 2, 5, 10)),
+        resolutions=tuple(config.resolution * factor for factor in factors),
+        distance_fractions=SearchConfig().distance_fractions[: len(factors) - 1],
         padding=config.padding,
         least_padding=least if config.narrow_passages else None,
     )

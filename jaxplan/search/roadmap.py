@@ -16,7 +16,7 @@ from jaxplan.search.kernels.graph import make_frame
 from jaxplan.search.kernels.places import REACH as PLACES_REACH
 from jaxplan.search.kernels.places import WIDE, places_of
 from jaxplan.search.kernels.roads import Box, Roads, join, touching
-from jaxplan.search.kernels.sight import HALF_DIAGONAL, Field, fill
+from jaxplan.search.kernels.sight import HALF_DIAGONAL, Field, fill, paths_keep_clear
 from jaxplan.search.kernels.solids import REACH, solids_of
 from jaxplan.world.obstacles import World
 from jaxplan.world.occupancy import cell_centres, finest_shape
@@ -24,6 +24,9 @@ from jaxplan.world.occupancy import cell_centres, finest_shape
 TILE = 20
 """Cells of the finest lattice along a side of a tile (arbitrary)."""
 
+
+NOWHERE = np.full(3, 1e9), np.full(3, 1e9)
+"""A box that no road touches [m]."""
 
 _Places = tuple[Float[np.ndarray, "_ 3"], Float[np.ndarray, "_ 3"]]
 """Positions [m] and normals."""
@@ -80,10 +83,11 @@ def update_roadmap(
 ) -> Roadmap:
     """The roadmap of a world of which only the obstacles in the box from ``lower`` to ``upper`` [m] have changed."""
     lower, upper = lower - 2.0 * roadmap.field.shortfall, upper + 2.0 * roadmap.field.shortfall
-    field = _changed_field(roadmap.field, world, lower, upper)
+    field, opens = _changed_field(roadmap.field, world, lower, upper)
     levels: list[_Changed] = []
     for level in roadmap.levels:
-        levels.append(_changed_level(level, field, roadmap.room, (lower, upper), levels[-1] if levels else None))
+        wider = levels[-1] if levels else None
+        levels.append(_changed_level(level, field, roadmap.room, (lower, upper), opens, wider))
     return Roadmap(field, roadmap.room, tuple(changed.level for changed in levels))
 
 
@@ -101,12 +105,16 @@ def field_of(world: World, resolution: float) -> Field:
     return Field(values, frame, HALF_DIAGONAL * max(sides, default=0.0), solids)
 
 
-def _changed_field(field: Field, world: World, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Field:
-    """Clearances after a change within a box [m]."""
+def _changed_field(
+    field: Field, world: World, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]
+) -> tuple[Field, bool]:
+    """Clearances after a change within a box [m], and whether there is any place with more than before."""
     solids, values = tuple(solids_of(world)), field.values.copy()
     begin, end = _cells(field, lower - REACH, upper + REACH)
     fill(values, field.frame, solids, begin, end)
-    return Field(values, field.frame, field.shortfall, solids)
+    changed = tuple(slice(int(a), int(b)) for a, b in zip(begin, end, strict=True))
+    opens = bool((values[changed] > field.values[changed]).any())
+    return Field(values, field.frame, field.shortfall, solids), opens
 
 
 def _cells(
@@ -130,7 +138,7 @@ def _level(field: Field, room: Float[np.ndarray, "2 3"], limit: float, wider: Le
     points, normals, tiles = _numbered(parts, wider)
     shared = len(points) - int(tiles.sum())
     pairs = join(tuple(field), limit, points, normals, np.ones(len(points), dtype=bool), shared, (room[0], room[1]))
-    labels = label_components(_open_cells(field, room, limit))
+    labels = label_components(_open_cells(field, room, limit, (slice(None),) * 3))
     return Level(limit, _roads(points, normals, pairs, wider), shared, tiles, labels)
 
 
@@ -148,9 +156,12 @@ def _places(
 
 
 def _changed_level(
-    level: Level, field: Field, room: Float[np.ndarray, "2 3"], box: Box, wider: _Changed | None
+    level: Level, field: Field, room: Float[np.ndarray, "2 3"], box: Box, opens: bool, wider: _Changed | None
 ) -> _Changed:
-    """Places and roads after a change within a box [m]: places in the tiles around, roads to them and through."""
+    """Places and roads after a change within a box [m]: places in the tiles around, roads to them and through.
+
+    Where nothing ``opens``, no two places that were there see each other that did not before.
+    """
     limit, roads = level.limit, level.roads
     above = None if wider is None else wider.level
     around = PLACES_REACH + (limit if above is None else above.limit)
@@ -160,7 +171,7 @@ def _changed_level(
     for tile, (low, high) in enumerate(_tiles(field.values.shape)):
         old = np.arange(first[tile], first[tile + 1])
         known = roads.points[old], roads.normals[old]
-        if (low < end).all() and (begin < high).all():
+        if low[0] < end[0] and low[1] < end[1] and begin[0] < high[0] and begin[1] < high[1] and begin[2] < end[2]:
             parts.append(_places(field, room, limit, above, low, high))
             numbers.append(_same(known, parts[-1], old))
         else:
@@ -169,20 +180,26 @@ def _changed_level(
     points, normals, tiles = _numbered(parts, above)
     before, shared = np.concatenate(numbers), len(points) - int(tiles.sum())
     near = box[0] - limit, box[1] + limit
-    fresh = join(tuple(field), limit, points, normals, before < 0, shared, near)
-    pairs = np.concatenate([_untouched(level, before, points, near), fresh])
+    pairs = _kept(level, before)
+    touched = touching(points, pairs, near)
+    held = np.zeros((0, 2), np.int32) if opens else _clear(field, limit, points, pairs[touched])
+    looked_at = near if opens else NOWHERE
+    fresh = join(tuple(field), limit, points, normals, before < 0, shared, looked_at)
+    pairs = np.concatenate([pairs[~touched], held, fresh])
     window = tuple(slice(int(a), int(b)) for a, b in zip(*_cells(field, *near), strict=True))
-    labels = join_components(level.components, ~_open_cells(field, room, limit), window)
+    labels = join_components(level.components, _open_cells(field, room, limit, window), window)
     return _Changed(Level(limit, _roads(points, normals, pairs, above), shared, tiles, labels), before)
 
 
-def _open_cells(field: Field, room: Float[np.ndarray, "2 3"], limit: float) -> Bool[np.ndarray, "nx ny nz"]:
-    """Cells in which a point may keep the distance ``limit`` [m] from obstacles and be in the room."""
+def _open_cells(
+    field: Field, room: Float[np.ndarray, "2 3"], limit: float, window: tuple[slice, ...]
+) -> Bool[np.ndarray, "wx wy wz"]:
+    """Cells of a window in which a point may keep the distance ``limit`` [m] from obstacles and be in the room."""
     side = field.frame[6]
     centres = cell_centres(np.array(field.frame[3:6]), side, field.values.shape)
     within = room + 0.5 * side * np.array([[-1.0], [1.0]])
-    inside = [(c >= low) & (c <= high) for c, low, high in zip(centres, *within, strict=True)]
-    free = field.values >= limit - HALF_DIAGONAL * side - field.shortfall
+    inside = [((c >= low) & (c <= high))[w] for c, low, high, w in zip(centres, *within, window, strict=True)]
+    free = field.values[window] >= limit - HALF_DIAGONAL * side - field.shortfall
     free &= inside[0][:, None, None] & inside[1][None, :, None] & inside[2][None, None, :]
     return np.asarray(free)
 
@@ -197,18 +214,22 @@ def _same(known: _Places, found: _Places, numbers: Int[np.ndarray, "k"]) -> Int[
     return np.where(same.any(axis=1), numbers[same.argmax(axis=1)], -1)
 
 
-def _untouched(
-    level: Level, before: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 3"], box: Box
-) -> Int32[np.ndarray, "e 2"]:
-    """A level's own roads between places that were there ``before``, renumbered, that do not touch the box [m]."""
+def _clear(
+    field: Field, limit: float, points: Float[np.ndarray, "n 3"], pairs: Int32[np.ndarray, "e 2"]
+) -> Int32[np.ndarray, "m 2"]:
+    """Those of the roads that keep their distance ``limit`` [m] from obstacles."""
+    return pairs[paths_keep_clear(field, limit, points[pairs], np.zeros(len(pairs), np.int64))]
+
+
+def _kept(level: Level, before: Int[np.ndarray, "n"]) -> Int32[np.ndarray, "e 2"]:
+    """A level's own roads between places that were there ``before``, renumbered."""
     roads = level.roads
     now = np.full(len(roads.points), -1, np.int32)
     now[before[before >= 0]] = np.flatnonzero(before >= 0)
     starts = np.repeat(np.arange(len(roads.points)), np.diff(roads.first))
     begin, end = now[starts], now[roads.ends]
     kept = (begin >= 0) & (end >= 0) & (starts < roads.ends) & (roads.ends >= level.shared)
-    pairs = np.stack([begin, end], axis=1)[kept]
-    return pairs[~touching(points, pairs, box)]
+    return np.stack([begin, end], axis=1)[kept]
 
 
 def _numbered(

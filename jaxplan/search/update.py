@@ -70,7 +70,7 @@ def _update_level(
     local = permitted_moves(occupied[beyond]).reshape(occupied[beyond].shape)
     offset = [slice(a.start - b.start, a.start - b.start + 10**9) for a, b in zip(around, beyond, strict=True)]
     moves[around] = local[tuple(offset)][tuple(slice(0, n) for n in moves[around].shape)]
-    labels = join_components(level.components.reshape(grid.shape), occupied, around)
+    labels = join_components(level.components.reshape(grid.shape), ~occupied[around], around)
     return SearchLattice(grid=fresh, moves=moves.reshape(-1), components=labels.reshape(-1))
 
 
