@@ -14,6 +14,7 @@ from jaxplan.planner.records import PlannerConfig
 from jaxplan.planner.stations import Match, Routes, Stations, Trajectories, shortened
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.search.lattice import Lattices, Paths
+from jaxplan.search.meeting_point import ending_before
 from jaxplan.search.routes import find_routes
 from jaxplan.search.stops import stop_points
 from jaxplan.spline import FlatState
@@ -63,10 +64,11 @@ class Parts(NamedTuple):
         return at_fixed_width(mark, np.arange(len(goals)), GOALS_AT_ONCE)
 
     def search(self, state: FlatState, goals: Float[np.ndarray, "k 3"], target: Float[np.ndarray, "3"]) -> Paths:
-        """Taut paths from the state to the goals; the distance to the target [m] chooses the lattice."""
+        """Taut paths from the state to where the goals are met; the distance to the target [m] chooses the lattice."""
         start = np.asarray(state.pos)
         distance = float(np.linalg.norm(target - start))
-        return find_routes(self.lattices, self.world, start, goals, distance, capacity=self.config.path_capacity)
+        paths = find_routes(self.lattices, self.world, start, goals, distance, capacity=self.config.path_capacity)
+        return ending_before(paths, self.config.meet_radius)
 
     def route(self, paths: Paths, member: Int[np.ndarray, "k"], passing: Bool[np.ndarray, "k"]) -> Routes:
         """Waypoints along the paths ``member``, where ``passing`` on to their stop points; arrays as long as needed."""

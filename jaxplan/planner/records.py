@@ -39,6 +39,8 @@ class PlannerConfig:
     """Where no path keeps the padding, take one that keeps the vehicle's radius and the tracking margin (roadmap)."""
     meet: Meet = "pass"
     """How a target is met: "pass" flies through the goal to a stop point behind it, "rest" stops at it (paper)."""
+    meet_radius: float = 0.0
+    """How far from the predicted target [m] it may be met: paths end so much before their goals, on their last leg."""
     heading: Heading = "hold"
     """Where the vehicle looks: "hold" keeps its yaw, "path" turns it along the path, "target" to the target."""
     max_yaw_rate: float = 1.5
@@ -63,7 +65,7 @@ class PlannerConfig:
 
     def __post_init__(self) -> None:
         require_positive("planner", self, "max_yaw_rate", "resolution")
-        require_at_least("planner", self, 0, "padding", "policy_speed")
+        require_at_least("planner", self, 0, "padding", "policy_speed", "meet_radius")
         require_within("planner", self, 1, 65536, "width")
         require_within("planner", self, 0, 1, "profile_probability")
         require_one_of("planner", self, METHODS, "search")

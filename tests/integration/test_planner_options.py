@@ -41,6 +41,25 @@ def test_at_rest_at_the_goal_where_that_is_wanted(world, moving):
         assert plans.alpha[index] >= 1.0 - 2e-3
 
 
+def test_a_target_may_be_met_within_a_radius(world):
+    """Each plan is at most that far from its goal when the target is there, and as far where its way is straight."""
+    planner = build_planner(
+        dataclasses.replace(CONFIG, meet_radius=0.25),
+        world=world,
+        vehicle=load_vehicle(),
+        policy=constant_speed_policy(),
+    )
+    plans = planner.plan_batch(hover(START), candidates(36))
+    usable = np.flatnonzero(plans.reasons == 0)
+    off = [
+        np.linalg.norm(plans.spline(index).state(plans.arrival_times[index]).pos - plans.goals[index])
+        for index in usable
+    ]
+    assert len(usable) >= 3
+    assert max(off) == pytest.approx(0.25, **relative("solve"))
+    assert np.median(off) > 0.2
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -48,6 +67,7 @@ def test_at_rest_at_the_goal_where_that_is_wanted(world, moving):
         ({"heading": "down"}, "heading"),
         ({"allocate": "network"}, "allocate"),
         ({"policy_speed": -1.0}, "policy_speed"),
+        ({"meet_radius": -0.1}, "meet_radius"),
         ({"meet": "pass", "search": "multi-resolution"}, "meet 'rest'"),
     ],
 )
