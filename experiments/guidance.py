@@ -60,7 +60,7 @@ class Guidance:
         yaw = np.broadcast_to(self._yaw, (len(rows), 3))
         return FlatState(derivatives=rows, yaw=yaw)
 
-    def step(self, now: float, observations: Observations) -> None:
+    def step(self, now: float, observations: Observations, measured: Measured | None = None) -> None:
         """Command an acceleration for the coming cycle."""
         state = self._state(self._legs[-1], now)
         target = observations.positions[-1]

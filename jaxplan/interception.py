@@ -12,9 +12,10 @@ from jaxplan.compilation import compilations
 from jaxplan.config import InterceptConfig
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.stream import ObservationStream
-from jaxplan.replanner import CommittedPlan, Cycle, Replanner
+from jaxplan.replanner import CommittedPlan, Cycle, Measured, Replanner
 from jaxplan.scenario import Scenario, build_scenario
 from jaxplan.spline import FlatState
+from jaxplan.tracking.plant import PlantState
 from jaxplan.tracking.result import SUCCESS
 from jaxplan.tracking.rollout import FlightLog
 
@@ -45,7 +46,7 @@ class Guide(Protocol):
     def reference(self, times: Float[np.ndarray, "n"]) -> FlatState:
         """The commanded flat state at ``times`` [s]."""
 
-    def step(self, now: float, observations: Observations) -> Cycle | None:
+    def step(self, now: float, observations: Observations, measured: Measured | None = None) -> Cycle | None:
         """Decide at time ``now`` [s] from the newest observations; None where nothing is planned."""
 
 
@@ -151,7 +152,7 @@ def fly(
         stream.add(now, target.position(np.array([now]))[0], now)
         observations = stream.observe(now)
         if observations is not None and now >= scenario.departure - 1e-9:
-            cycles.append(guide.step(now, observations))
+            cycles.append(guide.step(now, observations, _measured(state)))
         times = scenario.control_times(now)
         state, log = scenario.plant.fly(state, guide.reference(times))
         flight, outcome = _until_decided(_flight(times[1:], log, guide, scenario), scenario)
@@ -170,6 +171,11 @@ def fly(
         wall_s=time.perf_counter() - began,
         compilations_after_warmup=compilations() - compiled,
     )
+
+
+def _measured(state: PlantState) -> Measured:
+    """The vehicle as its estimator sees it: where it is."""
+    return Measured(np.asarray(state.pos, dtype=float), np.asarray(state.vel, dtype=float))
 
 
 def _replanner(scenario: Scenario) -> Replanner:

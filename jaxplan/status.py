@@ -83,7 +83,10 @@ class PlanStatus(enum.IntEnum):
     BRAKE = 7
     """The world has changed, the committed trajectory is not clear any more, and none other was found but a stop."""
     BLOCKED = 8
-    """As for BRAKE, but no stop is clear either; the committed trajectory stays, and the next cycle looks again."""
+    """As for BRAKE, but no stop is clear either: the one that hits least hard is flown, where the committed trajectory
+    would hit harder, and the next cycle looks again."""
+    RECOVER = 9
+    """The vehicle is far off its reference: it stops from where it is."""
 
 
 def bit(bad: Bool[Array, "*batch"], reason: enum.IntFlag) -> UInt32[Array, "*batch"]:

@@ -36,8 +36,8 @@ class SplineBatch:
         real = durations > 0.0
         return PiecewisePolynomial(
             durations=durations[real],
-            position=np.asarray(self.position)[real][..., index],
-            yaw=np.asarray(self.yaw)[real][:, :, 0, index],
+            position=np.asarray(self.position)[..., index][real],
+            yaw=np.asarray(self.yaw)[:, :, 0, index][real],
         )
 
     def states(self, count: int) -> FlatStateBatch:

@@ -5,6 +5,7 @@ candidates -> search -> knots -> policy <-> arrival -> minimum snap -> checks ->
 
 from jaxplan.planner.build import build_planner
 from jaxplan.planner.records import (
+    HITS,
     Approaches,
     Planner,
     PlannerConfig,
@@ -15,14 +16,18 @@ from jaxplan.planner.records import (
     select_stop,
 )
 from jaxplan.planner.timer import Timer
+from jaxplan.planner.validator import Fault, Verdict
 
 __all__ = [
+    "HITS",
     "Approaches",
+    "Fault",
     "Planner",
     "PlannerConfig",
     "Plans",
     "Stops",
     "Timer",
+    "Verdict",
     "build_planner",
     "select",
     "select_approach",

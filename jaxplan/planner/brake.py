@@ -1,4 +1,4 @@
-"""When the world has changed under a committed plan: whether it is still clear, and stops for when it is not (host).
+"""Stops, for when the committed plan may not be flown any more and there is no other (host).
 
 A stop is a straight flight from the present state to rest, at one of several decelerations and directions around that
 of the velocity, all checked at once like any other plan, but for the deviation: there is no path to keep.
@@ -15,12 +15,9 @@ from jaxplan.planner.records import Stops
 from jaxplan.planner.stations import Routes, Trajectories, shortened
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import Reason
-from jaxplan.world.host_distance import host_free_distance
 
-PIECES = 64
-"""Of a segment, as many as in the planner's own finer look at the clearance."""
-POINTS_AT_ONCE = PIECES * (MAX_WAYPOINTS - 1)
-"""A whole trajectory in one call."""
+INSTANTS = 64
+"""Of a trajectory, to see how fast it runs into something (arbitrary: 1 to 3 cm apart in a stop)."""
 DECELERATIONS = (28.0, 20.0, 14.0, 9.0)
 """Mean ones [m/s^2], along the way (arbitrary; the first is near what the preset ``mfrl`` can)."""
 TURNS = ((0, 0), (25, 0), (-25, 0), (50, 0), (-50, 0), (80, 0), (-80, 0), (0, 25), (0, -25), (30, 25), (-30, 25))
@@ -29,22 +26,6 @@ REACTION = 0.12
 """Seconds in which the thrust is turned around: so long the acceleration is taken to go on (arbitrary)."""
 SHORTEST_TIME = 0.4
 """Of a stop [s], for slow starts (arbitrary)."""
-
-
-def is_clear(parts: Parts, spline: PiecewisePolynomial, since: float) -> bool:
-    """Whether a trajectory keeps the radius and the tracking margin, from ``since`` [s of its own time] to its end.
-
-    From the middles of its pieces and a bound of the speed on each: nothing of it slips between samples.
-    """
-    durations = np.asarray(spline.durations)
-    starts = np.cumsum(durations) - durations
-    half = 0.5 * durations / PIECES
-    middles = starts[:, None] + (2.0 * np.arange(PIECES) + 1.0) * half[:, None]
-    ahead = (durations > 0.0)[:, None] & (middles + half[:, None] >= min(since, float(spline.duration)) - 1e-9)
-    moved = np.asarray(spline.bounds(1, PIECES)) * half[:, None]
-    points = np.asarray(spline.evaluate(middles.ravel()))[:, :3]
-    free = host_free_distance(parts.world, points, POINTS_AT_ONCE).reshape(middles.shape) - moved
-    return bool((free[ahead] >= parts.least_clearance).all())
 
 
 def brake(parts: Parts, state: FlatState) -> Stops:
@@ -68,7 +49,25 @@ def brake(parts: Parts, state: FlatState) -> Stops:
 
     found = at_fixed_width(check, np.arange(count), parts.config.width)
     unfit = np.asarray(found.margins.reasons) & ~np.uint32(Reason.DEVIATION)
-    return Stops(goals=waypoints[1].T, arrival_times=times, reasons=unfit, splines=found.splines, margins=found.margins)
+    splines = [found.splines.spline(one) for one in range(count)]
+    return Stops(
+        goals=waypoints[1].T,
+        arrival_times=times,
+        reasons=unfit,
+        splines=found.splines,
+        margins=found.margins,
+        impact=np.array([impact(parts, spline, 0.0) for spline in splines]),
+    )
+
+
+def impact(parts: Parts, spline: PiecewisePolynomial, since: float) -> float:
+    """Speed [m/s] where a trajectory, from ``since`` [s] on, first touches something; 0 for nowhere."""
+    times = np.linspace(min(since, float(spline.duration)), float(spline.duration), INSTANTS)
+    if not np.isfinite(np.asarray(spline.position)).all():
+        return np.inf
+    touching = parts.room.free_distance(np.asarray(spline.evaluate(times))[:, :3]) < parts.radius
+    speeds = np.linalg.norm(np.asarray(spline.evaluate(times, 1))[:, :3], axis=1)
+    return float(speeds[np.argmax(touching)]) if touching.any() else 0.0
 
 
 def _ways(state: FlatState) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k"]]:

@@ -12,21 +12,23 @@ import numpy as np
 from jaxplan.feasibility.classifier import Classifier
 from jaxplan.planner.approach import approach
 from jaxplan.planner.border import usual_candidates, usual_state
-from jaxplan.planner.brake import brake, is_clear
+from jaxplan.planner.brake import brake, impact
 from jaxplan.planner.parts import Parts
 from jaxplan.planner.records import Planner, PlannerConfig, Plans
 from jaxplan.planner.stations import compile_stations
 from jaxplan.planner.table import Rows, Table, bound, check, enter, knots, match, outrank, reject, search, table_of
 from jaxplan.planner.timer import Timer
+from jaxplan.planner.validator import Room, Verdict, validate
 from jaxplan.planner.warmup import compile_all
 from jaxplan.policy.protocol import Policy
 from jaxplan.precision import in_float64
 from jaxplan.prediction.candidates import Candidates, candidates_from
 from jaxplan.records import replace
-from jaxplan.search.lattice import SearchConfig, build_lattices
+from jaxplan.search.kernels.solids import solids_of
+from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
 from jaxplan.search.routes import warmup as warm_up_search
 from jaxplan.search.update import update_lattices
-from jaxplan.spline import FlatState
+from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.vehicle.identity import require_same_vehicle
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.obstacles import World
@@ -67,8 +69,7 @@ def build_planner(
     )
     lattices = build_lattices(world, options)
     stations = compile_stations(config, vehicle, policy, classifier)
-    clearance = float(vehicle.radius) + config.checks.tracking_margin
-    return _planner(Parts(config, stations, lattices, _on_device(world), clearance))
+    return _planner(Parts(config, stations, lattices, _on_device(world), _room(lattices, world), vehicle))
 
 
 def _planner(parts: Parts) -> Planner:
@@ -76,7 +77,8 @@ def _planner(parts: Parts) -> Planner:
     return Planner(
         plan_batch=functools.partial(in_float64(plan_batch), parts),
         approach=functools.partial(in_float64(approach), parts),
-        is_clear=functools.partial(is_clear, parts),
+        validate=functools.partial(_validate, parts),
+        impact=functools.partial(impact, parts),
         brake=functools.partial(in_float64(brake), parts),
         warmup=functools.partial(in_float64(_warmup), parts),
         in_world=functools.partial(_in_world, parts),
@@ -87,12 +89,28 @@ def _planner(parts: Parts) -> Planner:
 
 def _in_world(parts: Parts, world: World) -> Planner:
     """A planner for another world; what is compiled without looking at the world is shared."""
-    return _planner(parts._replace(lattices=build_lattices(world, parts.lattices.config), world=_on_device(world)))
+    lattices = build_lattices(world, parts.lattices.config)
+    return _planner(parts._replace(lattices=lattices, world=_on_device(world), room=_room(lattices, world)))
 
 
 def _updated(parts: Parts, change: Change) -> Planner:
     """A planner for the same world after a change; shapes stay, so all that is compiled is shared."""
-    return _planner(parts._replace(lattices=update_lattices(parts.lattices, change), world=_on_device(change.world)))
+    lattices, world = update_lattices(parts.lattices, change), change.world
+    return _planner(parts._replace(lattices=lattices, world=_on_device(world), room=_room(lattices, world)))
+
+
+def _room(lattices: Lattices, world: World) -> Room:
+    """The world for the last look at a plan; what is solid in it is known to a roadmap already."""
+    solids = tuple(solids_of(world)) if lattices.roadmap is None else lattices.roadmap.field.solids
+    return Room(solids, np.asarray(world.bounds, dtype=np.float64))
+
+
+def _validate(
+    parts: Parts, spline: PiecewisePolynomial, since: float = 0.0, start: FlatState | None = None, wider: float = 0.0
+) -> Verdict:
+    """The last look at a plan, with the planner's room, vehicle and limits."""
+    least, config = parts.least_clearance + wider, parts.config.validator
+    return validate(spline, parts.room, parts.vehicle, least, config, since=since, start=start)
 
 
 @in_float64
@@ -159,7 +177,7 @@ def _warmup(parts: Parts, state: FlatState) -> None:
     candidates = _candidates_around(state, parts.config.width)
     plan_batch(parts, state, candidates)
     approach(parts, state, candidates)
-    is_clear(parts, brake(parts, state).spline(0), 0.0)
+    _validate(parts, brake(parts, state).spline(0))
 
 
 def _candidates_around(state: FlatState, count: int) -> Candidates:

@@ -12,6 +12,7 @@ from jaxplan.arrays import AnyArray
 from jaxplan.batching import at_fixed_width, pick
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.planner.stations import Match, Routes, Stations, Trajectories, shortened
+from jaxplan.planner.validator import Room
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.search.lattice import Lattices, Paths
 from jaxplan.search.meeting_point import ending_before
@@ -19,6 +20,7 @@ from jaxplan.search.routes import find_routes
 from jaxplan.search.stops import stop_points
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason
+from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.obstacles import World
 
 GOALS_AT_ONCE = 512
@@ -40,8 +42,19 @@ class Parts(NamedTuple):
     stations: Stations
     lattices: Lattices
     world: World
-    least_clearance: float
-    """What every trajectory keeps [m]: the vehicle's radius and the tracking margin."""
+    room: Room
+    """The same world for the last look at a plan."""
+    vehicle: Vehicle
+
+    @property
+    def radius(self) -> float:
+        """The vehicle's [m]."""
+        return float(self.vehicle.radius)
+
+    @property
+    def least_clearance(self) -> float:
+        """What every trajectory keeps [m]: the vehicle's radius and the tracking margin."""
+        return self.radius + self.config.checks.tracking_margin
 
     def reject(self, state: FlatState, candidates: Candidates) -> UInt32[np.ndarray, "k"]:
         """Early reasons against each candidate."""

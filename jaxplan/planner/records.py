@@ -12,6 +12,7 @@ from jaxplan.errors import InputError
 from jaxplan.knots import KnotConfig
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.planner.timer import Timer
+from jaxplan.planner.validator import ValidatorConfig, Verdict
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.records import record
 from jaxplan.search.lattice import METHODS
@@ -62,6 +63,7 @@ class PlannerConfig:
     knots: KnotConfig = KnotConfig()
     arrival: ArrivalConfig = ArrivalConfig(least_alpha=0.75, tolerance=1e-2)
     checks: CheckConfig = CheckConfig()
+    validator: ValidatorConfig = ValidatorConfig()
 
     def __post_init__(self) -> None:
         require_positive("planner", self, "max_yaw_rate", "resolution")
@@ -142,6 +144,8 @@ class Stops:
     """0 means usable."""
     splines: SplineBatch
     margins: Margins
+    impact: Float[np.ndarray, "n"]
+    """How fast each is [m/s] where it first touches something; 0 where nowhere."""
 
     def spline(self, index: SupportsIndex) -> PiecewisePolynomial:
         """One of the trajectories (host, NumPy)."""
@@ -150,6 +154,10 @@ class Stops:
     def probability(self, index: SupportsIndex) -> float:
         """As ``Approaches.probability``."""
         return float(np.asarray(self.margins.probability)[index])
+
+
+HITS = Reason.CLEARANCE | Reason.NONFINITE
+"""What no stop may have that is taken for a safe one."""
 
 
 def select(plans: Plans) -> int:
@@ -165,12 +173,13 @@ def select_approach(approaches: Approaches) -> int:
 def select_stop(stops: Stops) -> int:
     """Index of the stop that is soonest at rest; where none passes, of a clear one that the vehicle might not track.
 
-    -1 when none is clear.
+    Where none is clear, of the one that hits least hard; -1 when none is finite.
     """
-    best = select_best(-stops.arrival_times, stops.reasons)
-    blocked = stops.reasons & np.uint32(Reason.CLEARANCE | Reason.NONFINITE)
-    looked_at = np.isfinite(np.asarray(stops.margins.clearance))
-    return best if best >= 0 else select_best(np.where(looked_at, stops.arrival_times, np.nan), blocked)
+    soonest = -stops.arrival_times
+    best = select_best(soonest, stops.reasons)
+    if best < 0:
+        best = select_best(soonest, stops.reasons & np.uint32(HITS))
+    return best if best >= 0 else select_best(-stops.impact, stops.reasons & np.uint32(Reason.NONFINITE))
 
 
 class PlanBatch(Protocol):
@@ -194,11 +203,23 @@ class Approach(Protocol):
         """As ``PlanBatch``."""
 
 
-class IsClear(Protocol):
-    """Whether a trajectory may still be flown in the planner's world."""
+class Validate(Protocol):
+    """The last look at a plan before it is committed, by other means than those that found it."""
 
-    def __call__(self, spline: PiecewisePolynomial, since: float) -> bool:
-        """Looks at it from ``since`` [s of its own time] to its end; compiles nothing."""
+    def __call__(
+        self, spline: PiecewisePolynomial, since: float = 0.0, start: FlatState | None = None, wider: float = 0.0
+    ) -> Verdict:
+        """Looks at it from ``since`` [s of its own time] to its end; compiles nothing.
+
+        ``start`` is where it takes over, ``wider`` what it keeps from obstacles beyond the usual [m].
+        """
+
+
+class Impact(Protocol):
+    """How hard a trajectory that is not clear hits."""
+
+    def __call__(self, spline: PiecewisePolynomial, since: float) -> float:
+        """Speed [m/s] where it first touches something, from ``since`` [s of its own time] on; 0 for nowhere."""
 
 
 class Brake(Protocol):
@@ -237,7 +258,8 @@ class Planner(NamedTuple):
 
     plan_batch: PlanBatch
     approach: Approach
-    is_clear: IsClear
+    validate: Validate
+    impact: Impact
     brake: Brake
     warmup: Warmup
     in_world: InWorld

@@ -1,5 +1,6 @@
 """The loop around the planner, in environment 1: what is committed, and that it never jumps."""
 
+import dataclasses
 import time
 
 import numpy as np
@@ -8,15 +9,17 @@ import pytest
 from jaxplan.errors import InputError
 from jaxplan.knots import KnotConfig
 from jaxplan.planner import PlannerConfig, build_planner
+from jaxplan.planner.validator import ValidatorConfig
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
 from jaxplan.prediction.observations import first_observation
-from jaxplan.replanner import Replanner, ReplannerConfig
+from jaxplan.replanner import Measured, Replanner, ReplannerConfig
+from jaxplan.replanner.incumbent import incumbent_score
 from jaxplan.spline import hover
 from jaxplan.status import PlanStatus
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import load_world
-from tolerances import tolerance
+from tolerances import relative, tolerance
 
 START = np.array([-4.3, -4.3, 1.0])
 CONFIG = PlannerConfig(width=16, knots=KnotConfig(distance_per_knot=1.0))
@@ -120,10 +123,10 @@ def test_a_committed_interception_is_recognised_between_two_predicted_steps(plan
     noise = 0.05 * np.random.default_rng(0).normal(size=(len(steps), 3)) * (samples > 1)
     goals = position + (steps - 2.0 - offset)[:, None] * velocity + noise
     expected = candidates_from(position, goals, steps, np.zeros(len(steps)))
-    score = replanner._incumbent_score(expected, 0.0)
+    score = incumbent_score(replanner.committed, expected, 0.0, 1.0, replanner.config)
     assert score == pytest.approx(1.0 - 2.0 - offset)
     elsewhere = candidates_from(position, goals + np.array([0.0, 0.4, 0.0]), steps, np.zeros(len(steps)))
-    assert replanner._incumbent_score(elsewhere, 0.0) == -np.inf
+    assert incumbent_score(replanner.committed, elsewhere, 0.0, 1.0, replanner.config) == -np.inf
 
 
 def test_unreachable_target_is_approached(planner):
@@ -133,3 +136,113 @@ def test_unreachable_target_is_approached(planner):
     end = replanner.committed.spline.state(float(replanner.committed.spline.duration))
     assert np.linalg.norm(end.pos - far) < np.linalg.norm(START - far) - 1.0
     np.testing.assert_allclose(end.derivatives[1:], 0.0, atol=1e-4)
+
+
+def measured_off(replanner, now, off):
+    """The vehicle beside its reference [m]."""
+    state = replanner.reference(np.array([now]))
+    return Measured(state.pos[0] + off, state.vel[0])
+
+
+def flying(planner, cycles=8):
+    """A replanner on its way along the wall, and what it sees."""
+    replanner = Replanner(planner, Script(near(np.array([-4.0, 2.0, 1.0]), 3.0)), hover(START))
+    seen = first_observation(0.0, START)
+    for cycle in range(cycles):
+        replanner.step(0.1 * cycle, seen, measured_off(replanner, 0.1 * cycle, np.zeros(3)))
+    return replanner, seen
+
+
+@pytest.mark.parametrize("size", [0.0, 0.19])
+def test_a_vehicle_near_its_reference_plans_from_the_reference(planner, size):
+    (one, seen), (other, _) = flying(planner), flying(planner)
+    off = size * np.array([0.0, 0.6, 0.8])
+    cycle = one.step(0.8, seen, measured_off(one, 0.8, off))
+    other.step(0.8, seen)
+    assert cycle.deviation == pytest.approx(size, **relative("formula"))
+    times = np.arange(0.8, 4.0, 0.1)
+    np.testing.assert_array_equal(one.reference(times).derivatives, other.reference(times).derivatives)
+
+
+def test_a_vehicle_off_its_reference_plans_from_where_it_is(planner):
+    """Carried on with the error of its velocity to the takeover; it keeps more from obstacles than usual."""
+    replanner, seen = flying(planner)
+    off, faster = np.array([0.05, -0.25, 0.1]), np.array([0.3, 0.5, 0.0])
+    state = replanner.reference(np.array([0.8, 0.9]))
+    cycle = replanner.step(0.8, seen, Measured(state.pos[0] + off, state.vel[0] + faster))
+    assert cycle.status in {PlanStatus.INTERCEPT, PlanStatus.APPROACH}
+    plan = replanner.committed
+    assert plan.from_measured
+    start = plan.spline.state(0.0)
+    np.testing.assert_allclose(start.pos, state.pos[1] + off + 0.1 * faster, **tolerance("solve"))
+    np.testing.assert_allclose(start.vel, state.vel[1] + faster, **tolerance("solve"))
+    np.testing.assert_allclose(start.jerk, state.jerk[1], **tolerance("solve"))
+    verdict = planner.validate(plan.spline, 0.0, None, replanner.config.wider_margin)
+    assert not verdict.faults
+    after = replanner.step(0.9, seen, measured_off(replanner, 0.9, np.zeros(3)))
+    assert after.deviation < 1e-9
+
+
+def test_a_vehicle_far_off_stops_from_where_it_is_and_goes_on(planner):
+    replanner, seen = flying(planner)
+    off = np.array([0.3, -0.5, 0.2])
+    cycle = replanner.step(0.8, seen, measured_off(replanner, 0.8, off))
+    assert cycle.status is PlanStatus.RECOVER
+    stop = replanner.committed
+    end = stop.spline.state(float(stop.spline.duration))
+    np.testing.assert_allclose(end.derivatives[1:], 0.0, atol=1e-4)
+    np.testing.assert_allclose(stop.spline.state(0.0).pos, replanner.reference(np.array([0.9])).pos[0])
+    again = [replanner.step(0.1 * k, seen, measured_off(replanner, 0.1 * k, np.zeros(3))) for k in range(9, 14)]
+    assert any(one.status in {PlanStatus.INTERCEPT, PlanStatus.APPROACH} for one in again)
+    assert max(one.deviation for one in again[1:]) < 1e-9
+
+
+@pytest.mark.parametrize(
+    "measured",
+    [
+        Measured(np.array([np.nan, 0, 0]), np.zeros(3)),
+        Measured(np.zeros(2), np.zeros(3)),
+        Measured(np.zeros(3), "fast"),
+        Measured(np.zeros(3), np.zeros(3), np.full(3, np.inf)),
+    ],
+    ids=["nan", "short", "text", "infinite"],
+)
+def test_a_measured_state_that_is_none_is_refused_and_nothing_is_decided(planner, measured):
+    replanner, seen = flying(planner, 2)
+    with pytest.raises(InputError, match="measured"):
+        replanner.step(0.2, seen, measured)
+    replanner.step(0.2, seen)
+
+
+def test_the_latency_follows_what_cycles_take_within_its_bounds(planner):
+    config = ReplannerConfig(latency=0.05, most_latency=0.3, drop_late=True)
+    answer, seen = near(np.array([-4.0, -1.0, 1.0]), 3.0), first_observation(0.0, START)
+    replanner = Replanner(planner, Slow(answer), hover(START), config)
+    cycles = [replanner.step(0.4 * k, seen) for k in range(4)]
+    assert cycles[0].status is PlanStatus.LATE
+    assert cycles[0].latency == 0.05
+    assert 0.18 <= cycles[1].latency <= 0.3
+    assert cycles[1].status is not PlanStatus.LATE
+    assert len(replanner.plans) > 1
+    starts = [plan.start_time for plan in replanner.plans]
+    assert starts == sorted(starts)
+
+
+def test_limits_of_the_latency_are_checked():
+    with pytest.raises(InputError, match="most_latency"):
+        ReplannerConfig(latency=0.2, most_latency=0.1)
+    with pytest.raises(InputError, match="stop_beyond"):
+        ReplannerConfig(replan_beyond=0.3, stop_beyond=0.2)
+
+
+def test_nothing_is_committed_that_the_last_look_refuses():
+    """Every plan is too fast in turn; what is committed stays."""
+    answer, seen = near(np.array([-4.0, -1.0, 1.0]), 3.0), first_observation(0.0, START)
+    slow = dataclasses.replace(CONFIG, validator=ValidatorConfig(max_speed=0.1))
+    world, vehicle = load_world("env1"), load_vehicle()
+    suspicious = build_planner(slow, world=world, vehicle=vehicle, policy=constant_speed_policy())
+    replanner = Replanner(suspicious, Script(answer), hover(START))
+    cycle = replanner.step(0.0, seen)
+    assert cycle.refused > 0
+    assert len(replanner.plans) == 1
+    assert cycle.status is PlanStatus.KEPT_COMMITTED

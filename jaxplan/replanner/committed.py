@@ -1,0 +1,49 @@
+"""The committed plans, one after another: the reference that the vehicle flies."""
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxplan.replanner.records import CommittedPlan
+from jaxplan.spline import FlatState, PiecewisePolynomial
+from jaxplan.status import PlanStatus
+
+
+class CommittedPlans:
+    """Begins with a hover; a plan that is added takes over at its ``start_time``."""
+
+    def __init__(self, start: FlatState) -> None:
+        self.plans: list[CommittedPlan] = [_hold(start)]
+
+    @property
+    def newest(self) -> CommittedPlan:
+        """Which may not have taken over yet."""
+        return self.plans[-1]
+
+    def add(self, plan: CommittedPlan) -> None:
+        """It takes over no earlier than the newest one."""
+        self.plans.append(plan)
+
+    def reference(self, times: Float[np.ndarray, "n"]) -> FlatState:
+        """The commanded flat state at ``times`` [s], each from the plan in force then."""
+        times = np.asarray(times, dtype=float)
+        starts = np.array([plan.start_time for plan in self.plans])
+        active = np.searchsorted(starts, times, side="right") - 1
+        derivatives, yaw = np.empty((len(times), 5, 3)), np.empty((len(times), 3))
+        for index in np.unique(active):
+            plan, mine = self.plans[index], active == index
+            state = plan.spline.state(times[mine] - plan.start_time)
+            derivatives[mine], yaw[mine] = state.derivatives, state.yaw
+        return FlatState(derivatives=derivatives, yaw=yaw)
+
+    def at(self, time: float) -> FlatState:
+        """The commanded flat state at one instant [s]."""
+        states = self.reference(np.array([time]))
+        return FlatState(derivatives=states.derivatives[0], yaw=states.yaw[0])
+
+
+def _hold(state: FlatState) -> CommittedPlan:
+    """Stay at rest where ``state`` is, from the beginning of time."""
+    position, yaw = np.zeros((1, 10, 3)), np.zeros((1, 6))
+    position[0, 0], yaw[0, 0] = state.pos, state.yaw[0]
+    spline = PiecewisePolynomial(durations=np.ones(1), position=position, yaw=yaw)
+    return CommittedPlan(-np.inf, spline, np.asarray(state.pos), np.inf, np.nan, PlanStatus.NOT_SET)

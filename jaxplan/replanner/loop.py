@@ -1,0 +1,255 @@
+"""One cycle after another: predict, plan and decide; one committed plan, replaced only by better ones.
+
+A cycle at time t plans from where the committed plan will be at t + latency, with all derivatives to snap, so the
+switch is smooth. Every plan ends at rest, so whatever happens to later cycles the vehicle comes to a stop.
+
+In order of preference a cycle commits the best plan that meets the target; keeps the committed one while that
+still does, and sooner; approaches the target; keeps what is committed. The paper's fallback (take the latest
+candidate although it cannot be flown in time) is not one of them: see ``docs/decisions/0004-selection.md``. Nothing is
+committed that ``jaxplan.planner.validator`` refuses.
+
+After a change of the world the committed plan counts only where it is clear; where not, and no other plan is found, the
+vehicle stops. A vehicle that is measured off its reference plans from where it is; far off, it stops there first.
+"""
+
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxplan.errors import InputError
+from jaxplan.planner import HITS, Approaches, Fault, Planner, Plans, Stops, Timer, select_stop
+from jaxplan.prediction.candidates import Candidates
+from jaxplan.prediction.observations import Observations
+from jaxplan.prediction.protocol import Predictor
+from jaxplan.records import replace
+from jaxplan.replanner.committed import CommittedPlans
+from jaxplan.replanner.incumbent import incumbent_score
+from jaxplan.replanner.measured import carried_on, usual_measured
+from jaxplan.replanner.records import CommittedPlan, Cycle, Measured, ReplannerConfig
+from jaxplan.spline import FlatState
+from jaxplan.status import Note, PlanStatus, Reason, count_reasons
+from jaxplan.world.update import Change
+
+REMEMBERED = 100
+"""Cycles whose computing times say what the latency is to be (arbitrary)."""
+RESERVE = 1.2
+"""By how much the latency is longer than 99 of 100 of them (arbitrary)."""
+LOOKED_AT = 4
+"""Plans that a cycle takes a last look at (arbitrary: more than one is hardly ever refused)."""
+
+
+class _Start(NamedTuple):
+    """Where and how the plans of a cycle begin."""
+
+    state: FlatState
+    takeover: float
+    """[s]"""
+    deviation: float
+    """Of the vehicle from its reference [m]; 0 where it is not measured."""
+    measured: bool
+    """Whether they begin where the vehicle is, off the reference."""
+    wider: float
+    """What they keep from obstacles beyond the usual [m]."""
+
+
+class _Chosen(NamedTuple):
+    """What a cycle commits."""
+
+    among: Plans | Approaches | Stops
+    place: int
+    slowdown: float
+    """Multiple of the least time that the trajectory takes."""
+
+
+class Replanner:
+    """Holds the committed plans and adds to them, one ``step`` at a time."""
+
+    def __init__(
+        self, planner: Planner, predictor: Predictor, start: FlatState, config: ReplannerConfig | None = None
+    ) -> None:
+        self.config = config or ReplannerConfig()
+        self.planner = planner
+        self.latency = self.config.latency
+        """Seconds from the next cycle's observations until its plan takes over."""
+        self._predictor = predictor
+        self._committed = CommittedPlans(start)
+        self._took: deque[float] = deque(maxlen=REMEMBERED)
+        self._cycles = 0
+        self._last = -np.inf
+        self._certain = True
+        self._refused = 0
+
+    @property
+    def plans(self) -> list[CommittedPlan]:
+        """The initial hover and every plan that was committed, in order."""
+        return self._committed.plans
+
+    @property
+    def ever_planned(self) -> bool:
+        """Whether any plan was committed after the initial hover."""
+        return len(self.plans) > 1
+
+    @property
+    def committed(self) -> CommittedPlan:
+        """The newest plan, which may not have taken over yet."""
+        return self._committed.newest
+
+    def reference(self, times: Float[np.ndarray, "n"]) -> FlatState:
+        """The commanded flat state at ``times`` [s], each from the plan in force then."""
+        return self._committed.reference(times)
+
+    def update(self, change: Change) -> None:
+        """Plan in a changed world from the next cycle on, and look there whether the committed plan is still clear.
+
+        Where it is not it is no rival any more, and where no other plan is found the vehicle stops.
+        """
+        self.planner = self.planner.update(change)
+        self._certain = False
+
+    def step(self, now: float, observations: Observations, measured: Measured | None = None) -> Cycle:
+        """Predict, plan and decide at time ``now`` [s] from the newest observations.
+
+        Args:
+            now: on the clock of all other times.
+            observations: of the target.
+            measured: the vehicle at ``now``, where it is known; without it, it is taken to be where it should.
+
+        Raises:
+            InputError: ``now`` is not finite or before the last cycle, or ``measured`` not finite; nothing is decided.
+        """
+        if not np.isfinite(now) or now < self._last:
+            raise InputError(f"replanner: now is {now} s, want a finite time from {self._last} s on, the last cycle's")
+        measured = None if measured is None else usual_measured(measured)
+        timer, self._last, self._refused, latency = Timer(), now, 0, self.latency
+        start = self._start(now, measured)
+        predicted = self._predictor(observations, self._cycles)
+        self._cycles += 1
+        arrival_times = np.asarray(predicted.arrival_times) - (start.takeover - now)
+        candidates = replace(predicted, arrival_times=arrival_times)
+        timer.lap("predict", predicted)
+        self._certify(now, start)
+        incumbent = self._incumbent(candidates, start)
+        if start.deviation > self.config.stop_beyond:
+            plans = self.planner.plan_batch(start.state, candidates, timer, np.inf)
+            status, chosen = self._stop(start, PlanStatus.RECOVER)
+        else:
+            plans = self.planner.plan_batch(start.state, candidates, timer, incumbent)
+            status, chosen = self._decide(start, candidates, plans, incumbent, timer)
+        timer.lap("select")
+        if chosen is not None and self.config.drop_late and timer.total > 1e3 * latency:
+            status, chosen = PlanStatus.LATE, None
+        jump = None if chosen is None else self._commit(chosen, start, status)
+        timer.lap("select")
+        self._adapt(1e-3 * timer.total)
+        return Cycle(
+            time=now,
+            status=status,
+            plans=plans,
+            chosen=chosen.place if chosen is not None and chosen.among is plans else -1,
+            stage_ms=timer.stages,
+            generated=len(plans.reasons),
+            rejected=count_reasons(plans.reasons),
+            jump=jump,
+            note=Note(candidates.note),
+            refused=self._refused,
+            deviation=start.deviation,
+            latency=latency,
+        )
+
+    def _start(self, now: float, measured: Measured | None) -> _Start:
+        """Where the plans of this cycle begin, never before the newest plan has taken over."""
+        takeover = max(now + self.latency, self.committed.start_time)
+        then = self._committed.at(takeover)
+        if measured is None:
+            return _Start(then, takeover, 0.0, False, 0.0)
+        reference = self._committed.at(now)
+        deviation = float(np.linalg.norm(measured.position - np.asarray(reference.pos)))
+        if deviation <= self.config.replan_beyond:
+            return _Start(then, takeover, deviation, False, 0.0)
+        state = carried_on(measured, reference, then, takeover - now)
+        return _Start(state, takeover, deviation, True, self.config.wider_margin)
+
+    def _certify(self, now: float, start: _Start) -> None:
+        """Whether what is left of the committed plan is clear; by as much more as the vehicle is off it."""
+        if not self._certain or start.measured:
+            since = now - self.committed.start_time
+            wider = start.deviation if start.measured else 0.0
+            verdict = self.planner.validate(self.committed.spline, since, None, wider)
+            self._certain = not verdict.faults & Fault.CLEARANCE
+
+    def _incumbent(self, candidates: Candidates, start: _Start) -> float:
+        """What the committed plan is worth; nothing where it is not clear, or the vehicle not on it."""
+        if not self._certain or start.measured:
+            return -np.inf
+        weight = self.planner.config.likelihood_weight
+        return incumbent_score(self.committed, candidates, start.takeover, weight, self.config)
+
+    def _decide(
+        self, start: _Start, candidates: Candidates, plans: Plans, incumbent: float, timer: Timer
+    ) -> tuple[PlanStatus, _Chosen | None]:
+        """The ladder: a better interception, the committed one, an approach, a stop if need be, what is committed."""
+        best = self._best(plans, plans.score, start)
+        if best >= 0 and plans.score[best] > incumbent:
+            return PlanStatus.INTERCEPT, _Chosen(plans, best, float(plans.alpha[best]))
+        if np.isfinite(incumbent):
+            return PlanStatus.KEPT_COMMITTED, None
+        approaches = self.planner.approach(start.state, candidates)
+        timer.lap("approach")
+        best = self._best(approaches, -approaches.lateness, start)
+        if best >= 0:
+            return PlanStatus.APPROACH, _Chosen(approaches, best, float(approaches.alpha[best]))
+        if not self._certain:
+            return self._stop(start, PlanStatus.BRAKE)
+        if (np.asarray(candidates.reasons) & np.uint32(Reason.TARGET_LOST)).all():
+            return PlanStatus.TARGET_LOST, None
+        usable = bool((plans.reasons == 0).any()) or len(approaches.reasons) > 0
+        return (PlanStatus.KEPT_COMMITTED if usable else PlanStatus.NO_CANDIDATE), None
+
+    def _best(self, among: Plans | Approaches, score: Float[np.ndarray, "k"], start: _Start) -> int:
+        """The usable trajectory of the largest score that passes the last look; -1 where there is none."""
+        usable: Int[np.ndarray, "n"] = np.flatnonzero((among.reasons == 0) & np.isfinite(score))
+        for index in usable[np.argsort(-score[usable], kind="stable")][:LOOKED_AT].tolist():
+            if not self.planner.validate(among.spline(index), 0.0, start.state, start.wider).faults:
+                return int(index)
+            self._refused += 1
+        return -1
+
+    def _stop(self, start: _Start, status: PlanStatus) -> tuple[PlanStatus, _Chosen | None]:
+        """The soonest stop; where none is clear, the one that hits least hard if the committed plan hits harder."""
+        stops = self.planner.brake(start.state)
+        best = select_stop(stops)
+        if best >= 0 and not stops.reasons[best] & np.uint32(HITS):
+            return status, _Chosen(stops, best, np.nan)
+        since = start.takeover - self.committed.start_time
+        hit = self.planner.impact(self.committed.spline, since)
+        softer = best >= 0 and (stops.impact[best] < hit or (start.measured and stops.impact[best] == 0.0))
+        return PlanStatus.BLOCKED, _Chosen(stops, best, np.nan) if softer else None
+
+    def _commit(self, chosen: _Chosen, start: _Start, status: PlanStatus) -> Float[np.ndarray, "5"]:
+        """Add a plan; returns its discontinuity from where it should begin, as ``Cycle.jump``."""
+        among, index = chosen.among, chosen.place
+        spline = among.spline(index)
+        plan = CommittedPlan(
+            start_time=start.takeover,
+            spline=spline,
+            goal=among.goals[index],
+            arrival_time=start.takeover + float(among.arrival_times[index]),
+            alpha=chosen.slowdown,
+            status=status,
+            probability=among.probability(index),
+            from_measured=start.measured,
+        )
+        self._committed.add(plan)
+        self._certain = status is not PlanStatus.BLOCKED
+        jump = np.abs(spline.state(0.0).derivatives - start.state.derivatives).max(axis=-1)
+        jump[4] /= max(float(np.abs(start.state.snap).max()), 1.0)
+        return jump
+
+    def _adapt(self, seconds: float) -> None:
+        """Let the latency follow what cycles take, where that is wanted."""
+        if self.config.most_latency is not None:
+            self._took.append(seconds)
+            wanted = RESERVE * float(np.quantile(self._took, 0.99))
+            self.latency = float(np.clip(wanted, self.config.latency, self.config.most_latency))

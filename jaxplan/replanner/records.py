@@ -1,0 +1,98 @@
+"""What the loop around the planner is told, holds and reports."""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxplan.errors import InputError
+from jaxplan.planner import Plans
+from jaxplan.spline import PiecewisePolynomial
+from jaxplan.status import Note, PlanStatus
+from jaxplan.validation import require_at_least, require_positive
+
+
+@dataclasses.dataclass(frozen=True)
+class ReplannerConfig:
+    """Timing of the loop, and what it does when the vehicle is off its reference."""
+
+    period: float = 0.1
+    """Seconds between two cycles (paper: about 10 Hz)."""
+    latency: float = 0.1
+    """Seconds from a cycle's observations until its plan takes over; a longer computation counts as late."""
+    most_latency: float | None = None
+    """Where given, the latency follows what cycles take, from ``latency`` up to this [s]."""
+    drop_late: bool = False
+    """Whether a plan that took longer than the latency to compute is dropped: with a real vehicle it would be spliced
+    into the past. Off in simulation, whose results are not to depend on the machine."""
+    keep_radius: float = 0.2
+    """A committed interception stays one while the target is still predicted this close [m] to its goal."""
+    replan_beyond: float = 0.2
+    """Farther [m] than this from its reference, the next plan begins where the vehicle is measured."""
+    stop_beyond: float = 0.4
+    """Farther [m] than this, it stops from there first."""
+    wider_margin: float = 0.05
+    """What plans from a measured state keep from obstacles [m] beyond the usual (arbitrary)."""
+
+    def __post_init__(self) -> None:
+        require_positive("replanner", self, "period", "latency", "keep_radius", "replan_beyond")
+        require_at_least("replanner", self, 0.0, "wider_margin")
+        require_at_least("replanner", self, self.replan_beyond, "stop_beyond")
+        if self.most_latency is not None and not self.most_latency >= self.latency:
+            raise InputError(f"replanner: most_latency is {self.most_latency} s, want at least {self.latency} s")
+
+
+class Measured(NamedTuple):
+    """The vehicle as its estimator sees it at the time of a cycle; world frame."""
+
+    position: Float[np.ndarray, "3"]
+    """[m]"""
+    velocity: Float[np.ndarray, "3"]
+    """[m/s]"""
+    acceleration: Float[np.ndarray, "3"] | None = None
+    """[m/s^2]; None: the reference's."""
+
+
+class CommittedPlan(NamedTuple):
+    """A trajectory that the vehicle follows from ``start_time`` until the next one takes over."""
+
+    start_time: float
+    """Seconds on the episode's clock."""
+    spline: PiecewisePolynomial
+    goal: Float[np.ndarray, "3"]
+    arrival_time: float
+    """When the target is expected at the goal [s]; for an approach the vehicle arrives later."""
+    alpha: float
+    """How many times slower than at its least time the plan is flown; NaN for a hover."""
+    status: PlanStatus
+    probability: float = np.nan
+    """Of being tracked, by the classifier; NaN where the rotor limits decided."""
+    from_measured: bool = False
+    """Whether it begins where the vehicle was measured, off the plan before."""
+
+
+class Cycle(NamedTuple):
+    """What one replan cycle did."""
+
+    time: float
+    status: PlanStatus
+    plans: Plans
+    """Every candidate of the cycle with its reasons."""
+    chosen: int
+    """Index in ``plans`` of what was committed; -1 when the old plan was kept, or another one than these committed."""
+    stage_ms: dict[str, float]
+    generated: int
+    rejected: dict[str, int]
+    """Candidates per reason; one candidate may have several."""
+    jump: Float[np.ndarray, "5"] | None
+    """Discontinuity of position to jerk [SI] and of snap (relative) at the switch, from where the plan should begin;
+    None without a new plan."""
+    note: Note = Note(0)
+    """What deserves mention about the prediction."""
+    refused: int = 0
+    """Plans that passed every check but the last look."""
+    deviation: float = 0.0
+    """Of the measured vehicle from its reference [m]; 0 where it is not measured."""
+    latency: float = np.nan
+    """Seconds until a plan of this cycle takes over."""
