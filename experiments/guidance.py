@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from jaxplan.prediction.kinematic import constant_velocity
 from jaxplan.prediction.observations import Observations
-from jaxplan.replanner import CommittedPlan, ReplannerConfig
+from jaxplan.replanner import CommittedPlan, Measured, ReplannerConfig
 from jaxplan.spline import FlatState
 
 LAWS = ("pursuit", "navigation")
