@@ -11,6 +11,8 @@ from jaxplan.runner import work
 if TYPE_CHECKING:
     from distributed import Client
 
+LOOPBACK = "127.0.0.1"
+"""Where a cluster of this machine listens: nobody else can reach it. It has no dashboard."""
 CONNECT_SECONDS = 8.0
 """How long a scheduler may take to answer."""
 
@@ -59,7 +61,8 @@ def connect(workers: int, scheduler: str | None, *, deaths: int = 0) -> "Iterato
             threads_per_worker=1,
             processes=True,
             memory_limit=0,
-            dashboard_address=":0",
+            host=LOOPBACK,
+            dashboard_address=None,
             silence_logs=logging.CRITICAL,
         ) as cluster,
         Client(cluster) as client,

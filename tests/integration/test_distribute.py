@@ -7,9 +7,11 @@ import pytest
 
 from jaxplan import cli
 from jaxplan.errors import ResourceError
+from jaxplan.runner.connection import connect
 from jaxplan.runner.distribute import map_on_workers
 
 pytest.importorskip("distributed")
+psutil = pytest.importorskip("psutil")
 
 
 def test_all_numbers_come_back_with_what_was_made_of_them():
@@ -24,6 +26,19 @@ def test_an_error_of_the_function_is_its_own():
 def test_a_task_that_kills_its_workers_is_given_up_by_name():
     with pytest.raises(ResourceError, match="workers died over number 7"):
         list(map_on_workers(os._exit, [7], workers=1))
+
+
+def test_a_cluster_of_this_machine_listens_to_nobody_else():
+    with connect(1, None):
+        here = psutil.Process()
+        listening = [
+            one.laddr.ip
+            for process in (here, *here.children(recursive=True))
+            for one in process.net_connections(kind="inet")
+            if one.status == psutil.CONN_LISTEN
+        ]
+    assert listening
+    assert set(listening) == {"127.0.0.1"}
 
 
 def test_a_scheduler_that_is_not_there_is_named(tmp_path, capsys):

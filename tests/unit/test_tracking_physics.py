@@ -25,7 +25,7 @@ SLOW_IN_FLOAT32 = pytest.mark.parametrize("dtype", ["float64", pytest.param("flo
 def fly(vehicle: Vehicle, commands: np.ndarray, dtype: str, integrator: Integrator, **initial: object) -> PlantState:
     """The states after each physics step under rotor ``commands``, without noise, lanes in front."""
     wide = dtype == "float64"
-    with jax.enable_x64(wide), jax.numpy_dtype_promotion("standard"):
+    with jax.enable_x64(wide), jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):  # MJX's RK4
         if integrator == "Euler":
             body = vehicle_body(vehicle, float64=wide)
         else:
