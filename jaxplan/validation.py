@@ -4,11 +4,27 @@ Every message says whose value it is, what was found and what is wanted. NaN nev
 """
 
 import math
-from typing import TypeVar, no_type_check
+from typing import Any, TypeVar, no_type_check
+
+import numpy as np
 
 from jaxplan.errors import InputError
 
 T = TypeVar("T")
+
+
+@no_type_check
+def as_numbers(name: str, values: Any, dtype: type = np.float64) -> Any:
+    """The values as a NumPy array of this type. Raises ``InputError`` where they are no numbers, or complex ones."""
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind in "fiub":
+            return array.astype(dtype, copy=False)
+        if array.dtype.kind in "SUcMm":
+            raise TypeError(f"of {array.dtype}")
+        return np.asarray(values, dtype=dtype)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name}: have {type(values).__name__} that is no array of numbers ({error})") from error
 
 
 def checks_itself(cls: type[T]) -> type[T]:

@@ -26,6 +26,7 @@ from jaxplan.minsnap.status import (
 from jaxplan.precision import float64_island
 from jaxplan.records import record
 from jaxplan.status import bit
+from jaxplan.validation import as_numbers
 
 
 @record
@@ -73,6 +74,7 @@ def minimum_snap_batch(
         InputError: shapes that do not fit, or an unknown ``terminal`` or ``fixed_order``.
     """
     ends = ends_of("minimum_snap_batch", terminal, fixed_order)
+    waypoints, durations = _numbers("waypoints", waypoints), _numbers("durations", durations)
     segments, width = _shape(waypoints, durations)
     arrays = (
         waypoints,
@@ -84,7 +86,7 @@ def minimum_snap_batch(
     )
     if not is_numpy(arrays):
         return _in_float64(ends)(*arrays)
-    wide = tuple(None if a is None else np.asarray(a, dtype=np.float64) for a in arrays)
+    wide = tuple(None if a is None else a.astype(np.float64, copy=False) for a in arrays)
     return in_threads(lambda part: _compiled(ends, *part), wide, width)
 
 
@@ -135,6 +137,7 @@ def solve_batch(
     knots = knot_derivatives(problem, ends)
     position = segment_coefficients(problem, points[:-1], knots)
     value, residual = cost(problem, ends)
+    status |= bit(~jnp.isfinite(position).all(axis=(0, 1, 2)), SolveStatus.NONFINITE)
     value = jnp.where(skip, jnp.inf, value)
     heading, yaw_value = _solve_yaw(times, yaw, initial_yaw, skip, ends)
     status |= bit(~(residual <= RESIDUAL_LIMIT), SolveStatus.ILL_CONDITIONED)
@@ -165,6 +168,11 @@ def _solve_yaw(
 _compiled = jax.jit(solve_batch, static_argnums=0)
 
 
+def _numbers(name: str, value: ArrayLike) -> AnyArray:
+    """What is on the host as an array of numbers."""
+    return value if isinstance(value, jax.Array) else as_numbers(f"minimum_snap_batch: {name}", value)
+
+
 def _shape(waypoints: ArrayLike, durations: ArrayLike) -> tuple[int, int]:
     """How many segments and problems, from shapes that fit."""
     have, times = np.shape(waypoints), np.shape(durations)
@@ -181,8 +189,8 @@ def _for_each(name: str, value: ArrayLike | None, shape: tuple[int, ...], rows: 
     """``value`` of at least ``rows`` rows as an array of ``shape`` with the batch behind; None stays None."""
     if value is None:
         return None
-    xp = namespace(value)
-    have = np.shape(value)
+    value = _numbers(name, value)
+    xp, have = namespace(value), np.shape(value)
     if len(have) == len(shape):
         value, have = xp.asarray(value)[..., None], (*have, 1)
     if have[0] not in (rows, shape[0]) or have[1:-1] != shape[1:] or have[-1] not in (1, width):

@@ -1,5 +1,6 @@
 """``minimum_snap``: one trajectory, position of degree 9 in C4, yaw of degree 5 in C2 (paper eq. 3 and 4)."""
 
+import functools
 from typing import Annotated, Literal
 
 import jax
@@ -8,9 +9,11 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from jaxplan.errors import InputError
-from jaxplan.minsnap.quadratic_program import Ends, knot_derivatives, make_problem, segment_coefficients
+from jaxplan.minsnap.quadratic_program import Ends, gradient, knot_derivatives, make_problem, segment_coefficients
+from jaxplan.minsnap.status import RESIDUAL_LIMIT
 from jaxplan.precision import in_float64
 from jaxplan.spline import PiecewisePolynomial
+from jaxplan.validation import as_numbers
 
 POSITION_ORDER = 4
 """The derivative of position whose square is minimised: snap."""
@@ -68,21 +71,37 @@ def minimum_snap(
 
     Raises:
         InputError: fewer than two waypoints, a wrong shape, a value that is not finite, a duration that is
-            not positive, or waypoints that all coincide.
+            not positive, waypoints that all coincide, or a problem that double precision cannot solve.
     """
     points, times = _checked(waypoints, durations)
     start, goal, ends = checked_ends("minimum_snap", initial, terminal, fixed_order)
-    position, _ = _interpolate(times[:, None], points[..., None], start[..., None], goal[..., None], ends)
+    position, residual = _solve(times[:, None], points[..., None], start[..., None], goal[..., None], ends)
+    if not (np.isfinite(position).all() and float(residual[0]) <= RESIDUAL_LIMIT):
+        raise InputError(
+            f"minimum_snap: the problem is beyond double precision (residual {float(residual[0]):.1e}); durations are "
+            f"{times.min():.3g} to {times.max():.3g} s, the largest coordinate {np.abs(points).max():.3g} m"
+        )
     heading = None
     if yaw is not None or initial_yaw is not None:
         angles = _array("yaw", np.zeros(len(points)) if yaw is None else yaw, (len(points),))
         rates = _array("initial_yaw", np.zeros(YAW_ORDER) if initial_yaw is None else initial_yaw, (YAW_ORDER,))
-        turning = _interpolate(times[:, None], angles[:, None, None], rates[:, None, None], None, yaw_ends(ends))
+        turning = _solve(times[:, None], angles[:, None, None], rates[:, None, None], None, yaw_ends(ends))
         heading = np.asarray(turning[0][:, :, 0, 0])
     return PiecewisePolynomial(durations=times, position=np.asarray(position[..., 0]), yaw=heading)
 
 
-_interpolate = jax.jit(interpolate, static_argnames="ends")
+@functools.partial(jax.jit, static_argnames="ends")
+def _solve(
+    durations: Float[Array, "m b"],
+    points: Float[Array, "n d b"],
+    initial: Float[Array, "r d b"],
+    terminal: Float[Array, "r d b"] | None,
+    ends: Ends,
+) -> tuple[Float[Array, "m 2*r+2 d b"], Float[Array, "b"]]:
+    """The coefficients of ``interpolate``, and how far they are from being optimal (``quadratic_program.gradient``)."""
+    coefficients, knots = interpolate(durations, points, initial, terminal, ends)
+    _, _, residual = gradient(make_problem(durations, points, initial, terminal, ends), knots, ends)
+    return coefficients, residual
 
 
 def checked_ends(
@@ -121,7 +140,7 @@ def _end_values(name: str, what: str, given: ArrayLike | None, fixed_order: int)
     values = np.zeros((POSITION_ORDER, 3))
     if given is None:
         return values
-    array = np.asarray(given, dtype=np.float64)
+    array = as_numbers(f"{name}: {what}", given)
     if array.shape not in ((fixed_order, 3), (POSITION_ORDER, 3)):
         raise InputError(f"{name}: {what} has shape {array.shape}, want ({fixed_order}, 3), one row per derivative")
     if not np.isfinite(array[:fixed_order]).all():
@@ -132,7 +151,7 @@ def _end_values(name: str, what: str, given: ArrayLike | None, fixed_order: int)
 
 def _checked(waypoints: ArrayLike, durations: ArrayLike) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "m"]]:
     """Waypoints [m] and durations [s] that make a problem."""
-    points = np.asarray(waypoints, dtype=np.float64)
+    points = as_numbers("minimum_snap: waypoints", waypoints)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
         raise InputError(f"minimum_snap: waypoints have shape {points.shape}, want (m+1, 3) with at least 2 rows")
     points = _array("waypoints", points, points.shape)
@@ -147,7 +166,7 @@ def _checked(waypoints: ArrayLike, durations: ArrayLike) -> tuple[Float[np.ndarr
 
 
 def _array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
-    array = np.asarray(value, dtype=np.float64)
+    array = as_numbers(f"minimum_snap: {name}", value)
     if array.shape != shape:
         raise InputError(f"minimum_snap: {name} has shape {array.shape}, want {shape}")
     if not np.isfinite(array).all():

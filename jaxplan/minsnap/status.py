@@ -15,7 +15,7 @@ class SolveStatus(enum.IntFlag):
     """What is wrong with one problem of a batch; 0 is a solution."""
 
     NONFINITE = 1 << 0
-    """A waypoint, a duration or a prescribed derivative is not finite."""
+    """A waypoint, a duration or a prescribed derivative is not finite, or the solution overflows."""
     DURATIONS = 1 << 1
     """A duration is negative, a 0 stands before a positive one, or none is positive."""
     COINCIDENT = 1 << 2

@@ -29,7 +29,7 @@ from jaxplan.minsnap.single import YAW_ORDER
 from jaxplan.minsnap.status import UNSOLVED, SolveStatus, finite_problems, has_any, problem_status
 from jaxplan.records import record
 from jaxplan.status import bit
-from jaxplan.validation import require_at_least, require_positive
+from jaxplan.validation import as_numbers, require_at_least, require_positive
 
 Kind = Literal["weighted", "fixed", "fastest"]
 """Which of the problems (a), (b), (c)."""
@@ -105,7 +105,10 @@ def time_allocation(
         raise InputError("time_allocation: give exactly one of time_weight, total_time and margin")
     points, counts, start, angles = _checked(waypoints, segments, initial, yaw)
     number = time_weight if total_time is None else total_time
-    amount = np.broadcast_to(np.asarray(1.0 if number is None else number, dtype=np.float64), points.shape[-1:])
+    given = as_numbers("time_allocation: weight or total time", 1.0 if number is None else number)
+    if given.shape not in ((), (1,), points.shape[-1:]):
+        raise InputError(f"time_allocation: the time or its weight has shape {given.shape}, want one or one a sequence")
+    amount = np.broadcast_to(given, points.shape[-1:])
     if not (amount > 0.0).all():
         raise InputError(f"time_allocation: the time or its weight is {amount.min()}, want it positive")
     kind = KINDS[chosen.index(True)]
@@ -309,18 +312,18 @@ def _checked(
     Float[np.ndarray, "n b"] | None,
 ]:
     """Waypoints, numbers of segments, initial derivatives and yaw of every sequence."""
-    points = np.asarray(waypoints, dtype=np.float64)
+    points = as_numbers("time_allocation: waypoints", waypoints)
     if points.ndim != 3 or points.shape[1] != 3 or len(points) < 2:
         raise InputError(f"time_allocation: waypoints have shape {points.shape}, want (m+1, 3, b) with the batch last")
     m, width = len(points) - 1, points.shape[-1]
-    counts = np.full(width, m) if segments is None else np.asarray(segments)
+    counts = np.full(width, m) if segments is None else as_numbers("time_allocation: segments", segments)
     if counts.shape != (width,) or not ((counts >= 1) & (counts <= m)).all():
         raise InputError(f"time_allocation: segments must be {width} numbers from 1 to {m}")
-    start = np.zeros((4, 3, 1)) if initial is None else np.asarray(initial, dtype=np.float64)
+    start = np.zeros((4, 3, 1)) if initial is None else as_numbers("time_allocation: initial", initial)
     start = start[..., None] if start.ndim == 2 else start
     if start.shape not in ((4, 3, 1), (4, 3, width)):
         raise InputError(f"time_allocation: initial has shape {start.shape}, want (4, 3) or {(4, 3, width)}")
-    angles = None if yaw is None else np.asarray(yaw, dtype=np.float64)
+    angles = None if yaw is None else as_numbers("time_allocation: yaw", yaw)
     if angles is not None and angles.shape != (m + 1, width):
         raise InputError(f"time_allocation: yaw has shape {angles.shape}, want {(m + 1, width)}")
     return points, counts.astype(np.int64), np.broadcast_to(start, (4, 3, width)), angles

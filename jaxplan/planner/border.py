@@ -12,6 +12,7 @@ from jaxplan.errors import InputError
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.records import replace
 from jaxplan.spline import FlatState
+from jaxplan.validation import as_numbers
 
 
 @no_type_check
@@ -42,10 +43,7 @@ def usual_candidates(candidates: Candidates) -> Candidates:
 
 def _array(name: str, values: Any, dtype: type, shape: tuple[int | None, ...]) -> Any:
     """The values as an array of this type and shape, None for any length."""
-    try:
-        array: Any = np.asarray(values, dtype=dtype)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{name}: have {type(values).__name__} that is no array of numbers ({error})") from error
+    array: Any = as_numbers(name, values, dtype)
     wanted = ", ".join("K" if length is None else str(length) for length in shape)
     fits = len(array.shape) == len(shape) and all(b is None or a == b for a, b in zip(array.shape, shape, strict=True))
     if not fits:

@@ -17,7 +17,7 @@ from jaxplan.errors import InputError
 from jaxplan.prediction.gating import GateConfig, Sample, TrackStep, advance
 from jaxplan.prediction.interpolation import interpolate
 from jaxplan.prediction.observations import Observations
-from jaxplan.validation import require_at_least, require_positive
+from jaxplan.validation import as_numbers, require_at_least, require_positive
 
 _CAPACITY = 4096
 """Most samples remembered."""
@@ -77,7 +77,7 @@ class ObservationStream:
         Raises:
             InputError: the position does not have three coordinates.
         """
-        where = np.asarray(position, dtype=float)
+        where = as_numbers("observation stream: position", position)
         if where.shape != (3,):
             raise InputError(f"observation stream: the position has the shape {where.shape}, want (3,): x, y and z")
         sample = Sample(float(time), *where.tolist())

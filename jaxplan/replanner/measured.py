@@ -7,6 +7,7 @@ import numpy as np
 from jaxplan.errors import InputError
 from jaxplan.replanner.records import Measured
 from jaxplan.spline import FlatState
+from jaxplan.validation import as_numbers
 
 
 @no_type_check
@@ -17,10 +18,7 @@ def usual_measured(measured: Measured) -> Measured:
         if name == "acceleration" and values is None:
             parts.append(None)
             continue
-        try:
-            array = np.asarray(values, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"measured: {name} is no array of numbers ({error})") from error
+        array = as_numbers(f"measured: {name}", values)
         if array.shape != (3,) or not np.isfinite(array).all():
             raise InputError(f"measured: {name} is {values!r}, want three finite numbers")
         parts.append(array)

@@ -10,6 +10,7 @@ from jaxplan.errors import InputError
 from jaxplan.search.kernels.sight import clearances
 from jaxplan.search.lattice import Lattices, Paths
 from jaxplan.status import Note, Reason
+from jaxplan.validation import as_numbers
 from jaxplan.world.obstacles import World
 from jaxplan.world.occupancy import Lattice, cell_centres, exact_clearance
 
@@ -87,7 +88,7 @@ def finish(paths: Paths, expanded: int) -> Paths:
 
 def _points(values: ArrayLike, name: str, shape: tuple[int, ...]) -> Float[np.ndarray, "*k 3"]:
     """A writable float64 copy in C order."""
-    points = np.array(values, dtype=np.float64, order="C")
+    points = np.array(as_numbers(name, values), order="C")
     if points.ndim != len(shape) or points.shape[-1] != 3:
         raise InputError(
             f"{name}: have shape {points.shape}, want {'(3,)' if len(shape) == 1 else '(K, 3)'}; pass points in m"

@@ -223,6 +223,8 @@ def test_works_in_a_process_without_64_bit_types():
         (np.zeros((3, 3, 4)), np.ones((2, 4)), {"initial": np.zeros((2, 3))}, "initial has shape"),
         (np.zeros((3, 3, 4)), np.ones((2, 4)), {"terminal": "stop"}, "want 'rest', 'free'"),
         (np.zeros((3, 3, 4)), np.ones((2, 4)), {"fixed_order": 2}, "fixed_order is 2"),
+        (np.zeros((3, 3, 4)).astype("U3"), np.ones((2, 4)), {}, "waypoints: have ndarray that is no array of numbers"),
+        (np.zeros((3, 3, 4)), np.ones((2, 4)), {"yaw": ["north"] * 3}, "yaw: have list"),
     ],
 )
 def test_shapes_that_do_not_fit_are_refused(waypoints, durations, options, said):

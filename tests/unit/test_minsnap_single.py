@@ -93,6 +93,11 @@ def test_padding_and_neighbours_do_not_change_a_lane():
         (np.eye(3), np.array([1.0, np.nan]), "finite"),
         (np.full((3, 3), np.inf), np.ones(2), "finite"),
         (np.ones((3, 3)), np.ones(2), "same point"),
+        ("abc", np.ones(2), "no array of numbers"),
+        (np.eye(3) * 1j, np.ones(2), "no array of numbers"),
+        (np.eye(3), [1.0, "soon"], "no array of numbers"),
+        (1e308 * np.array([[1.0, 0, 0], [-1.0, 0, 0], [1.0, 0, 0]]), np.ones(2), "beyond double precision"),
+        (np.eye(3), np.array([1.0, 1e-80]), "beyond double precision"),
     ],
 )
 def test_bad_input_is_refused_in_one_sentence(waypoints, durations, said):
