@@ -160,7 +160,7 @@ def _checked(waypoints: ArrayLike, durations: ArrayLike) -> tuple[Float[np.ndarr
         raise InputError(
             f"minimum_snap: duration {int(np.argmin(times))} is {times.min()} s, want all of them positive"
         )
-    if not (np.ptp(points, axis=0) > 0.0).any():
+    if not (points != points[0]).any():
         raise InputError("minimum_snap: all waypoints are the same point; hold the position instead of planning a path")
     return points, times
 

@@ -35,6 +35,10 @@ TESTS = Path(__file__).resolve().parent.parent
 BASELINES = ("table1", "--planners", "pursuit", "navigation", "--worlds", "env1")
 
 
+LONGEST = 1500
+"""Seconds that an experiment may take; the longest needs some minutes of one quiet core."""
+
+
 def started(*arguments: object) -> subprocess.Popen:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(TESTS.parent), str(TESTS)])}
     line = [sys.executable, "-m", "jaxplan.cli", "experiment", *map(str, arguments)]
@@ -42,7 +46,12 @@ def started(*arguments: object) -> subprocess.Popen:
 
 
 def finished(process: subprocess.Popen, code: int = 0) -> tuple[str, str]:
-    out, said = process.communicate(timeout=500)
+    try:
+        out, said = process.communicate(timeout=LONGEST)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.communicate()  # else the next tests hear of it
+        raise
     assert process.returncode == code, said
     return out, said
 
