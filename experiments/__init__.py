@@ -12,4 +12,5 @@ NAMES = (
     "trajectories",
     "tune-knots",
     "network-size",
+    "faults",
 )

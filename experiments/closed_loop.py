@@ -82,8 +82,9 @@ def warm_up(world: str, planner: str, meet: str = "pass") -> None:
 
 def fly(episode: EpisodeConfig) -> Episode:
     """Fly an episode; its result depends on nothing but ``episode``."""
-    target = load_target(episode.target, world=episode.world, speed=episode.speed)
-    return _fly(_scenario(episode.world, episode.planner, episode.meet), episode, target)
+    scenario = scenario_of(episode)
+    guide = Guidance(episode.planner, scenario.start) if episode.planner in LAWS else None
+    return interception.fly(scenario, guide=guide)
 
 
 def numbers(episode: Episode) -> dict[str, Any]:
@@ -111,11 +112,14 @@ def _is_singular(episode: Episode) -> bool:
     return episode.outcome == "tracking_lost" and bool(kept)
 
 
-def _fly(scenario: Scenario, episode: EpisodeConfig, target: Target) -> Episode:
-    own = dataclasses.replace(scenario, target=target, departure=episode.departure, seed=episode.seed)
-    if episode.planner in LAWS:
-        return interception.fly(own, guide=Guidance(episode.planner, scenario.start))
-    return interception.fly(dataclasses.replace(own, predictor=_predictor(scenario, episode, target)))
+def scenario_of(episode: EpisodeConfig) -> Scenario:
+    """What an episode flies, for those that change some of it."""
+    target = load_target(episode.target, world=episode.world, speed=episode.speed)
+    scenario = _scenario(episode.world, episode.planner, episode.meet)
+    predictor = scenario.predictor if episode.planner in LAWS else _predictor(scenario, episode, target)
+    return dataclasses.replace(
+        scenario, target=target, departure=episode.departure, seed=episode.seed, predictor=predictor
+    )
 
 
 def _predictor(scenario: Scenario, episode: EpisodeConfig, target: Target) -> StepPredictor:

@@ -50,6 +50,14 @@ class Guide(Protocol):
         """Decide at time ``now`` [s] from the newest observations; None where nothing is planned."""
 
 
+@runtime_checkable
+class Watch(Protocol):
+    """What a sensor makes of the target."""
+
+    def __call__(self, stream: ObservationStream, now: float, position: Float[np.ndarray, "3"], /) -> None:
+        """Add to the stream what is seen at ``now`` [s] of a target that is there [m]."""
+
+
 class Flight(NamedTuple):
     """What was flown: one row per control step (200 Hz), at the end of the step."""
 
@@ -132,7 +140,12 @@ def warm_up(scenario: Scenario) -> None:
 
 
 def fly(
-    scenario: Scenario, progress: Progress | None = None, *, guide: Guide | None = None, warmup_s: float = 0.0
+    scenario: Scenario,
+    progress: Progress | None = None,
+    *,
+    guide: Guide | None = None,
+    watch: Watch | None = None,
+    warmup_s: float = 0.0,
 ) -> Episode:
     """Fly a scenario until it is decided.
 
@@ -140,16 +153,17 @@ def fly(
         scenario: what is flown; nothing compiles where ``warm_up`` has seen it.
         progress: told after every cycle.
         guide: what commands the defender instead of a ``Replanner`` with the scenario's planner and predictor.
+        watch: what sees the target, instead of a sensor that sees it exactly and at once.
         warmup_s: wall time spent before, for the record.
     """
     compiled, began = compilations(), time.perf_counter()
-    report, guide = progress or _tell_nobody, guide or _replanner(scenario)
+    report, guide, watch = progress or _tell_nobody, guide or _replanner(scenario), watch or _see
     target, period = scenario.target, scenario.replanning.period
     state = scenario.plant.reset(scenario.start, jax.random.key(scenario.seed))
     stream, cycles, flights, outcome = ObservationStream(scenario.stream), [], [], None
     for index in range(int(np.ceil(target.duration / period))):
         now = index * period
-        stream.add(now, target.position(np.array([now]))[0], now)
+        watch(stream, now, target.position(np.array([now]))[0])
         observations = stream.observe(now)
         if observations is not None and now >= scenario.departure - 1e-9:
             cycles.append(guide.step(now, observations, _measured(state)))
@@ -171,6 +185,11 @@ def fly(
         wall_s=time.perf_counter() - began,
         compilations_after_warmup=compilations() - compiled,
     )
+
+
+def _see(stream: ObservationStream, now: float, position: Float[np.ndarray, "3"]) -> None:
+    """A sensor without faults."""
+    stream.add(now, position, now)
 
 
 def _measured(state: PlantState) -> Measured:

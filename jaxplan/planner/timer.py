@@ -1,17 +1,26 @@
 """How a replan measures itself."""
 
 import time
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import jax
+
+
+@runtime_checkable
+class Clock(Protocol):
+    """Says how late it is."""
+
+    def __call__(self) -> float:
+        """Seconds from some instant on."""
 
 
 class Timer:
     """Wall time of the stations [ms]; waits for compiled results, so that each station pays for itself."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Clock = time.perf_counter) -> None:
         self.stages: dict[str, float] = {}
-        self._last = time.perf_counter()
+        self._clock = clock
+        self._last = clock()
 
     @property
     def total(self) -> float:
@@ -21,6 +30,6 @@ class Timer:
     def lap(self, stage: str, result: Any = None) -> None:
         """Add the time since the last lap to ``stage``, once ``result`` has been computed."""
         jax.block_until_ready(result)
-        now = time.perf_counter()
+        now = self._clock()
         self.stages[stage] = self.stages.get(stage, 0.0) + 1e3 * (now - self._last)
         self._last = now

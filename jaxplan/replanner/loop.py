@@ -12,6 +12,7 @@ After a change of the world the committed plan counts only where it is clear; wh
 vehicle stops. A vehicle that is measured off its reference plans from where it is; far off, it stops there first.
 """
 
+import time
 from collections import deque
 from typing import NamedTuple
 
@@ -20,6 +21,7 @@ from jaxtyping import Float, Int
 
 from jaxplan.errors import InputError
 from jaxplan.planner import HITS, Approaches, Fault, Planner, Plans, Stops, Timer, select_stop
+from jaxplan.planner.timer import Clock
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.protocol import Predictor
@@ -67,13 +69,18 @@ class Replanner:
     """Holds the committed plans and adds to them, one ``step`` at a time."""
 
     def __init__(
-        self, planner: Planner, predictor: Predictor, start: FlatState, config: ReplannerConfig | None = None
+        self,
+        planner: Planner,
+        predictor: Predictor,
+        start: FlatState,
+        config: ReplannerConfig | None = None,
+        clock: Clock = time.perf_counter,
     ) -> None:
         self.config = config or ReplannerConfig()
         self.planner = planner
         self.latency = self.config.latency
         """Seconds from the next cycle's observations until its plan takes over."""
-        self._predictor = predictor
+        self._predictor, self._clock = predictor, clock
         self._committed = CommittedPlans(start)
         self._took: deque[float] = deque(maxlen=REMEMBERED)
         self._cycles = 0
@@ -122,7 +129,7 @@ class Replanner:
         if not np.isfinite(now) or now < self._last:
             raise InputError(f"replanner: now is {now} s, want a finite time from {self._last} s on, the last cycle's")
         measured = None if measured is None else usual_measured(measured)
-        timer, self._last, self._refused, latency = Timer(), now, 0, self.latency
+        timer, self._last, self._refused, latency = Timer(self._clock), now, 0, self.latency
         start = self._start(now, measured)
         predicted = self._predictor(observations, self._cycles)
         self._cycles += 1

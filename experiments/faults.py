@@ -1,0 +1,198 @@
+"""Faults injected into the closed loop: what becomes of episodes, and whether anything is hit that need not be.
+
+    jaxplan experiment faults --preset smoke|small|full [--faults NAME ...] [--workers N] [--out DIR] [--resume]
+
+Table I's episodes are flown with one fault each: sensors (late by 0.3 s, half of it lost, noisy by 0.1 m, jumping by
+5 m, told again and out of order), time (cycles of up to 0.5 s, whose late plans are dropped; a clock that goes back),
+the vehicle (a gust of 10 m/s, moved by 0.35 m, a rotor at 75 %), the room (a box on the committed path, beyond a stop).
+The vehicle is measured in every cycle. An episode hits something where its plant comes closer than its radius to an
+obstacle, or to a box from when it appears; ``reference_hits`` counts commanded positions that do.
+"""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxplan import interception
+from jaxplan.errors import InputError
+from jaxplan.interception import Episode
+from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
+from jaxplan.runner.statistics import wilson
+from jaxplan.runner.tables import as_latex, as_markdown, number
+from jaxplan.scenario import Scenario
+from jaxplan.status import PlanStatus
+from jaxplan.world.host_distance import host_free_distance
+from jaxplan.world.load import ENVIRONMENTS
+
+from . import closed_loop, table1
+from .closed_loop import EpisodeConfig
+from .injection import FAULTS, ROOM, Trouble, with_a_spare_box
+
+FINE = 0.01
+"""s; between the commanded positions that are looked at."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Config:
+    """Which faults, in how many episodes."""
+
+    faults: tuple[str, ...] = FAULTS
+    """What goes wrong, one thing an episode."""
+
+    worlds: tuple[str, ...] = ENVIRONMENTS
+    """Stored worlds."""
+
+    planner: str = "mfrl"
+    """Who allots the times."""
+
+    predictor: str = "constant-velocity"
+    """What predicts the target from what is seen; ground-truth sees no sensor."""
+
+    episodes: int = 30
+    """Of each fault, Table I's."""
+
+    def __post_init__(self) -> None:
+        closed_loop.check_names(self.worlds, (self.planner,), (self.predictor,))
+        wrong = [name for name in self.faults if name not in FAULTS]
+        if wrong or not self.faults:
+            raise InputError(f"--faults: have {' '.join(wrong) or 'none'}, want some of {', '.join(FAULTS)}")
+        if not 1 <= self.episodes <= 3000:
+            raise InputError(f"--episodes: have {self.episodes}, want 1 to 3000")
+
+
+def artefacts(config: Config) -> list[Path]:
+    """Weights that the episodes use."""
+    return table1.artefacts(table1.Config(planners=(config.planner,), predictors=(config.predictor,)))
+
+
+def items(config: Config) -> list[Item]:
+    """All episodes; those with a box have a planner of their own."""
+    chosen = table1.chosen(table1.Config(worlds=config.worlds, episodes=config.episodes))
+    found = []
+    for fault in sorted(config.faults, key=lambda name: (name in ROOM, FAULTS.index(name))):
+        for episode in chosen:
+            own = dataclasses.replace(episode, planner=config.planner, predictor=config.predictor)
+            name = f"{fault}/{own.target}/{own.speed:g} m/s/{own.departure:g} s"
+            group = "a changing room" if fault in ROOM else "a fixed room"
+            found.append(Item(name, group, {"fault": fault, **dataclasses.asdict(own)}))
+    return found
+
+
+def prepare(config: Config, group: str) -> None:
+    """Compile what the episodes call."""
+    for world in config.worlds:
+        closed_loop.warm_up(world, config.planner)
+
+
+def evaluate(config: Config, item: Item) -> Row:
+    """Fly one episode with its fault."""
+    values = dict(item.values)
+    fault = values.pop("fault")
+    episode = EpisodeConfig(**values)
+    base = closed_loop.scenario_of(episode)
+    trouble = Trouble(_with_room(base) if fault in ROOM else base, fault)
+    flown = interception.fly(trouble.disturbed(), guide=trouble, watch=trouble.watch)
+    return {"fault": fault, **values, **_found(flown, trouble)}
+
+
+_PLANNERS: dict[str, Scenario] = {}
+
+
+def _with_room(base: Scenario) -> Scenario:
+    """The scenario with a planner that knows a spare box, built once a world."""
+    if base.world.name not in _PLANNERS:
+        own = with_a_spare_box(base)
+        own.planner.warmup(own.start)
+        _PLANNERS[base.world.name] = own
+    return dataclasses.replace(base, planner=_PLANNERS[base.world.name].planner)
+
+
+def _found(episode: Episode, trouble: Trouble) -> Row:
+    """What is told of an episode: plain values."""
+    flight, cycles, radius = episode.flight, episode.cycles, float(episode.scenario.vehicle.radius)
+    times = np.arange(episode.scenario.departure, float(flight.times[-1]), FINE)
+    commanded = trouble.reference(times).pos
+    clear = np.minimum(_free(trouble, times, commanded), episode.scenario.clearance(commanded))
+    flown = np.minimum(_free(trouble, flight.times, flight.position), flight.clearance)
+    jumps = [float(cycle.jump[:4].max()) for cycle in cycles if cycle.jump is not None]
+    status = [cycle.status for cycle in cycles]
+    return {
+        **closed_loop.numbers(episode),
+        "hit": bool((flown < radius).any()),
+        "reference_hits": int((clear < radius).sum()),
+        "changed": trouble.world is not None,
+        "largest_jump": max(jumps, default=0.0),
+        "late": status.count(PlanStatus.LATE),
+        "stops": status.count(PlanStatus.BRAKE) + status.count(PlanStatus.RECOVER),
+        "blocked": status.count(PlanStatus.BLOCKED),
+        "refused_plans": sum(cycle.refused for cycle in cycles),
+        "refused_clocks": trouble.refused_clocks,
+        "largest_deviation_m": max((cycle.deviation for cycle in cycles), default=0.0),
+    }
+
+
+def _free(trouble: Trouble, times: Float[np.ndarray, "n"], points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+    """Distance to what has appeared in the room, from when it did; infinite where nothing has."""
+    if trouble.world is None:
+        return np.full(len(times), np.inf)
+    free = host_free_distance(trouble.world, points, 1024)
+    return np.where(times >= trouble.appeared, free, np.inf)
+
+
+HEADER = ("fault", "episodes", "met", "95 %", "mean s", "lost", "hit", "reference hit", "largest jump", "late", "stops")
+HEADER += ("blocked", "boxes", "clocks refused", "plans refused")
+
+
+def report(results: Results[Config]) -> Report:
+    """One row a fault: how many met the target, how many hit something, and what was dropped, stopped or refused."""
+    rows = results.finished_rows()
+    cells = [_cells(fault, [row for row in rows if row["fault"] == fault]) for fault in dict.fromkeys(_faults(rows))]
+    hits = sum(row["hit"] for row in rows)
+    caption = "Faults injected into the closed loop."
+    return Report(
+        markdown=as_markdown(HEADER, cells),
+        table=rows,
+        latex=as_latex(HEADER, cells, caption),
+        figures={},
+        summary=f"{len(rows)} episodes with faults; {hits} of them hit something",
+    )
+
+
+def _faults(rows: list[Row]) -> list[str]:
+    return [row["fault"] for row in rows]
+
+
+def _cells(fault: str, rows: list[Row]) -> list[str]:
+    """One row of the table."""
+    met = [row["time_to_intercept_s"] for row in rows if row["outcome"] == "intercepted"]
+    low, high = wilson(len(met), len(rows))
+
+    def total(name: str) -> str:
+        return str(sum(row[name] for row in rows))
+
+    return [
+        fault,
+        str(len(rows)),
+        number(len(met) / len(rows)),
+        f"{number(low)} to {number(high)}",
+        number(float(np.mean(met)) if met else None, ".2f"),
+        str(sum(row["outcome"] == "tracking_lost" for row in rows)),
+        total("hit"),
+        str(sum(row["reference_hits"] > 0 for row in rows)),
+        f"{max(row['largest_jump'] for row in rows):.0e}",
+        *(total(name) for name in ("late", "stops", "blocked", "changed", "refused_clocks", "refused_plans")),
+    ]
+
+
+EXPERIMENT = Experiment(
+    summary="Faults injected into the closed loop: sensors, time, the vehicle, the room",
+    presets={"smoke": Config(episodes=1, worlds=("env1",)), "small": Config(episodes=30), "full": Config(episodes=300)},
+    items=items,
+    evaluate=evaluate,
+    report=report,
+    prepare=prepare,
+    shard_size=10,
+    artefacts=artefacts,
+)

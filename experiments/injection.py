@@ -1,0 +1,177 @@
+"""What goes wrong around a closed loop: sensors, clocks, the planner's time, the air, the rotors, the room.
+
+``Trouble`` puts one fault into an episode: as its ``watch`` it spoils what is seen of the target, as its ``guide`` it
+stands before the replanner, and ``disturbed`` gives the episode a plant that is blown, pushed or weakened. What it does
+depends on nothing but the fault and a seed.
+"""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxplan.errors import InputError
+from jaxplan.prediction.candidates import Candidates
+from jaxplan.prediction.observations import Observations
+from jaxplan.prediction.stream import ObservationStream
+from jaxplan.records import replace
+from jaxplan.replanner import CommittedPlan, Cycle, Measured, Replanner, ReplannerConfig
+from jaxplan.scenario import Scenario
+from jaxplan.spline import FlatState
+from jaxplan.tracking.disturbance import Disturbance
+from jaxplan.tracking.plant import PlantState
+from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, Plant
+from jaxplan.world.host_distance import host_free_distance
+from jaxplan.world.obstacles import World
+from jaxplan.world.update import update_world, with_spare_boxes
+
+SENSOR = ("late", "lost", "noisy", "teleporting", "shuffled")
+TIME = ("slow", "clock")
+VEHICLE = ("gust", "push", "thrust loss")
+ROOM = ("box",)
+FAULTS = ("none", *SENSOR, *TIME, *VEHICLE, *ROOM)
+DELAY = 0.3
+"""s; by which what is seen is late."""
+LOST, JUMPS = 0.5, 0.1
+"""Shares of what is seen that is lost, or is somewhere else."""
+NOISE, JUMP = 0.1, 5.0
+"""m; standard deviation along each axis, and how far the target seems to jump."""
+SLOWEST = 0.5
+"""s; the longest time that a cycle of a slow planner takes, the shortest is 0."""
+BACKWARDS = 1.0
+"""s; by which a clock goes back, once in ten cycles."""
+GUST, LACK, PUSH = 10.0, 0.25, 0.35
+"""m/s at the peak of a gust of 1 s; share of one rotor's thrust that is missing; m that the vehicle is moved."""
+AFTER = (0.4, 1.2)
+"""s after the departure, between which the single events happen."""
+BRAKING, REACTION = 9.0, 0.25
+"""m/s^2 and s: a box appears beyond a stop with these, which the vehicle certainly can (arbitrary)."""
+HALF = (0.15, 0.4)
+"""m; half sides of boxes."""
+
+
+class Trouble:
+    """One fault in one episode."""
+
+    def __init__(self, scenario: Scenario, fault: str) -> None:
+        """``scenario`` is what is flown without it; its planner must have a spare box where one is to appear."""
+        self.fault, self._scenario = fault, scenario
+        self._rng = np.random.default_rng(scenario.seed)
+        self.event = scenario.departure + float(self._rng.uniform(*AFTER))
+        """When a single event happens [s]."""
+        self._seconds = 0.0
+        self._replanner = Replanner(
+            scenario.planner, self._predict, scenario.start, ReplannerConfig(drop_late=True), self._clock
+        )
+        self.world: World | None = None
+        """The room after a change."""
+        self.appeared = np.inf
+        """When it changed [s]."""
+        self.refused_clocks = 0
+
+    @property
+    def ever_planned(self) -> bool:
+        """As the replanner's."""
+        return self._replanner.ever_planned
+
+    @property
+    def plans(self) -> list[CommittedPlan]:
+        """As the replanner's."""
+        return self._replanner.plans
+
+    def reference(self, times: Float[np.ndarray, "n"]) -> FlatState:
+        """As the replanner's."""
+        return self._replanner.reference(times)
+
+    def watch(self, stream: ObservationStream, now: float, position: Float[np.ndarray, "3"]) -> None:
+        """What the sensor tells."""
+        where = position
+        if self.fault == "lost" and self._rng.random() < LOST:
+            return
+        if self.fault == "noisy":
+            where = position + self._rng.normal(scale=NOISE, size=3)
+        if self.fault == "teleporting" and self._rng.random() < JUMPS:
+            direction = self._rng.normal(size=3)
+            where = position + JUMP * direction / np.linalg.norm(direction)
+        if self.fault == "late":
+            if now >= DELAY:
+                stream.add(now - DELAY, self._scenario.target.position(np.array([now - DELAY]))[0], now)
+            return
+        stream.add(now, where, now)
+        if self.fault == "shuffled" and now > 0.2:
+            for before in (0.2, 0.1, 0.0):
+                stream.add(now - before, self._scenario.target.position(np.array([now - before]))[0], now)
+
+    def step(self, now: float, observations: Observations, measured: Measured | None = None) -> Cycle | None:
+        """One cycle of the replanner; None where it refuses a clock that went back."""
+        if self.fault == "box" and self.world is None and now >= self.event:
+            self._place_a_box(now)
+        if self.fault == "clock" and self._rng.random() < 0.1 and self.ever_planned:
+            try:
+                self._replanner.step(now - BACKWARDS, observations, measured)
+            except InputError:
+                self.refused_clocks += 1
+                return None
+        return self._replanner.step(now, observations, measured)
+
+    def disturbed(self) -> Scenario:
+        """What is flown: with another plant where the fault is the vehicle's."""
+        if self.fault not in VEHICLE:
+            return self._scenario
+        plant, direction = self._scenario.plant, self._rng.normal(size=3) * [1.0, 1.0, 0.2]
+        direction /= np.linalg.norm(direction)
+        if self.fault == "push":
+            return dataclasses.replace(self._scenario, plant=Plant(plant.reset, self._pushed))
+        disturbance = Disturbance(gust=tuple(GUST * direction), gust_start=self.event, gust_duration=1.0)
+        if self.fault == "thrust loss":
+            disturbance = Disturbance(thrust_loss=tuple(LACK * (np.arange(4) == self._rng.integers(4))))
+
+        def fly(state: PlantState, references: FlatState, calm: None = None) -> tuple[PlantState, FlightLog]:
+            return plant.fly(state, references, disturbance)
+
+        return dataclasses.replace(self._scenario, plant=Plant(plant.reset, fly))
+
+    def _predict(self, observations: Observations, cycle: int) -> Candidates:
+        """The scenario's prediction, which takes its time where the planner is slow."""
+        if self.fault == "slow":
+            self._seconds += float(self._rng.uniform(0.0, SLOWEST))
+        return self._scenario.predictor(observations, cycle)
+
+    def _clock(self) -> float:
+        """Time passes where it is said to, so that an episode does not depend on the machine."""
+        return self._seconds
+
+    def _pushed(
+        self, state: PlantState, references: FlatState, calm: Disturbance | None = None
+    ) -> tuple[PlantState, FlightLog]:
+        """Moved once, to where there is most room."""
+        now = int(state.step) / CONTROL_RATE
+        if now <= self.event < now + (len(references.yaw) - 1) / CONTROL_RATE:
+            turns = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+            there = np.asarray(state.pos, float) + PUSH * np.stack([np.cos(turns), np.sin(turns), 0.0 * turns], axis=1)
+            free = host_free_distance(self._scenario.world, there, 16)
+            state = replace(state, pos=np.asarray(there[np.argmax(free)], np.float32))
+        return self._scenario.plant.fly(state, references, calm)
+
+    def _place_a_box(self, now: float) -> None:
+        """On the committed path, beyond a stop; nowhere where the way is too short for that."""
+        plan = self._replanner.committed
+        times = np.arange(now, plan.start_time + float(plan.spline.duration), 0.01)
+        if len(times) < 2:
+            return
+        states = self.reference(times)
+        ready = int(np.searchsorted(times, now + REACTION).clip(max=len(times) - 1))
+        way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(states.pos, axis=0), axis=1))])
+        half = float(self._rng.uniform(*HALF))
+        needed = way[ready] + np.linalg.norm(states.vel[ready]) ** 2 / (2.0 * BRAKING) + half * np.sqrt(3.0) + 0.3
+        if way[-1] <= needed:
+            return
+        middle = states.pos[int(np.argmax(way > needed))]
+        change = update_world(with_spare_boxes(self._scenario.world, 1), add_box=(middle - half, middle + half))
+        self.world, self.appeared = change.world, now
+        self._replanner.update(change)
+
+
+def with_a_spare_box(scenario: Scenario) -> Scenario:
+    """The same with a planner whose world can get a box."""
+    return dataclasses.replace(scenario, planner=scenario.planner.in_world(with_spare_boxes(scenario.world, 1)))
