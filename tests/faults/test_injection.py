@@ -1,0 +1,86 @@
+"""The fault injector does what it says, and episodes with faults hit nothing.
+
+``jaxplan experiment faults`` flies many of them.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from experiments import closed_loop, faults, injection
+from experiments.closed_loop import EpisodeConfig
+from experiments.injection import Trouble
+from jaxplan.prediction.stream import ObservationStream
+
+EPISODE = EpisodeConfig(
+    world="env1", planner="no-policy", predictor="constant-velocity", target="env1-01", speed=2.0, departure=0.5, seed=3
+)
+
+
+def seen(fault: str, seed: int = 3) -> tuple[list[float], np.ndarray, np.ndarray]:
+    """Ages, newest positions and the true ones, over 4 s."""
+    scenario = dataclasses.replace(closed_loop.scenario_of(EPISODE), seed=seed)
+    trouble = Trouble(scenario, fault)
+    stream, ages, newest, true = ObservationStream(), [], [], []
+    for cycle in range(40):
+        now = 0.1 * cycle
+        where = scenario.target.position(np.array([now]))[0]
+        trouble.watch(stream, now, where)
+        observed = stream.observe(now)
+        if observed is not None:
+            ages.append(observed.age)
+            newest.append(observed.positions[-1])
+            true.append(where)
+    return ages, np.array(newest), np.array(true)
+
+
+def test_a_sensor_without_fault_shows_the_target_where_it_is() -> None:
+    ages, newest, true = seen("none")
+    assert max(ages) < 1e-9
+    np.testing.assert_array_equal(newest, true)
+
+
+def test_late_observations_are_old() -> None:
+    ages, _, _ = seen("late")
+    assert min(ages) == pytest.approx(injection.DELAY)
+
+
+def test_half_of_what_is_lost_is_missing() -> None:
+    ages, _, _ = seen("lost")
+    assert 0.2 < np.mean(np.array(ages) > 0.05) < 0.8
+
+
+def test_noise_has_its_size() -> None:
+    _, newest, true = seen("noisy")
+    assert np.std(newest - true) == pytest.approx(injection.NOISE, rel=0.3)
+
+
+def test_jumps_are_told_and_not_believed() -> None:
+    """Single ones are left out by the stream."""
+    _, newest, true = seen("teleporting")
+    assert np.linalg.norm(newest - true, axis=1).max() < 1.0
+
+
+def test_what_is_told_again_changes_nothing() -> None:
+    for told, plain in zip(seen("shuffled"), seen("none"), strict=True):
+        np.testing.assert_array_equal(told, plain)
+
+
+def test_the_same_seed_does_the_same_and_another_does_not() -> None:
+    assert np.array_equal(seen("noisy")[1], seen("noisy")[1])
+    assert not np.array_equal(seen("noisy")[1], seen("noisy", seed=4)[1])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", injection.FAULTS)
+def test_episodes_with_a_fault_hit_nothing_and_never_jump(fault: str) -> None:
+    """Late plans are dropped, clocks that go back refused, boxes not flown into."""
+    config = faults.Config(faults=(fault,), worlds=("env1",), episodes=3)
+    rows = [faults.evaluate(config, item) for item in faults.items(config)]
+    assert not any(row["hit"] for row in rows)
+    assert sum(row["reference_hits"] for row in rows) == 0
+    assert max(row["largest_jump"] for row in rows) <= 1e-6
+    assert sum(row["outcome"] == "intercepted" for row in rows) >= 2
+    assert fault != "slow" or sum(row["late"] for row in rows) > 0
+    assert fault != "push" or max(row["largest_deviation_m"] for row in rows) > 0.3
