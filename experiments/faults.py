@@ -5,7 +5,7 @@
 Table I's episodes are flown with one fault each: sensors (late by 0.3 s, half of it lost, noisy by 0.1 m, jumping by
 5 m, told again and out of order), time (cycles of up to 0.5 s, whose late plans are dropped; a clock that goes back),
 the vehicle (a gust of 10 m/s, moved by 0.35 m, a rotor at 75 %), the room (a box on the committed path, beyond a stop).
-The vehicle is measured in every cycle. An episode hits something where its plant comes closer than its radius to an
+The vehicle is measured in every cycle, and lost 1 m or a right angle about body z off its reference. An episode hits something where its plant comes closer than its radius to an
 obstacle, or to a box from when it appears; ``reference_hits`` counts commanded positions that do.
 """
 
@@ -23,6 +23,7 @@ from jaxplan.runner.statistics import wilson
 from jaxplan.runner.tables import as_latex, as_markdown, number
 from jaxplan.scenario import Scenario
 from jaxplan.status import PlanStatus
+from jaxplan.tracking.result import Thresholds
 from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.load import ENVIRONMENTS
 
@@ -30,6 +31,8 @@ from . import closed_loop, table1
 from .closed_loop import EpisodeConfig
 from .injection import FAULTS, ROOM, Trouble, with_a_spare_box
 
+LOST = Thresholds(position=1.0, yaw=np.pi / 2.0)
+"""A vehicle that is blown or pushed off its reference for a moment is not lost."""
 FINE = 0.01
 """s; between the commanded positions that are looked at."""
 
@@ -91,7 +94,7 @@ def evaluate(config: Config, item: Item) -> Row:
     values = dict(item.values)
     fault = values.pop("fault")
     episode = EpisodeConfig(**values)
-    base = closed_loop.scenario_of(episode)
+    base = dataclasses.replace(closed_loop.scenario_of(episode), judged_by_heading=False, lost_beyond=LOST)
     trouble = Trouble(_with_room(base) if fault in ROOM else base, fault)
     flown = interception.fly(trouble.disturbed(), guide=trouble, watch=trouble.watch)
     return {"fault": fault, **values, **_found(flown, trouble)}

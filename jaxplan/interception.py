@@ -16,7 +16,6 @@ from jaxplan.replanner import CommittedPlan, Cycle, Measured, Replanner
 from jaxplan.scenario import Scenario, build_scenario
 from jaxplan.spline import FlatState
 from jaxplan.tracking.plant import PlantState
-from jaxplan.tracking.result import SUCCESS
 from jaxplan.tracking.rollout import FlightLog
 
 INTERCEPTION_RADIUS = 0.4
@@ -224,7 +223,7 @@ def _until_decided(flight: Flight, scenario: Scenario) -> tuple[Flight, str | No
     """The rows up to what decided the episode, and its outcome, if anything did. Failure comes before success."""
     apart = np.linalg.norm(flight.position - flight.target, axis=1)
     turned = flight.yaw_error if scenario.judged_by_heading else flight.twist_error
-    tracked = (flight.position_error < SUCCESS.position) & (turned < SUCCESS.yaw)
+    tracked = (flight.position_error < scenario.lost_beyond.position) & (turned < scenario.lost_beyond.yaw)
     free = flight.clearance >= np.asarray(scenario.vehicle.radius).item()
     met = (apart < INTERCEPTION_RADIUS) & (flight.times >= scenario.departure)
     decided = ~tracked | ~free | met

@@ -26,6 +26,7 @@ from jaxplan.replanner import ReplannerConfig
 from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.search.start_place import reachable_place
 from jaxplan.spline import FlatState, hover
+from jaxplan.tracking.result import SUCCESS, Thresholds
 from jaxplan.tracking.rollout import CONTROL_RATE, Plant, build_plant
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.params import Vehicle
@@ -65,6 +66,8 @@ class Scenario:
     """Metres from the nearest obstacle or face of the room."""
     judged_by_heading: bool = False
     """Whether the heading of body x decides what counts as lost, as in the paper, or the turn about body z."""
+    lost_beyond: Thresholds = SUCCESS
+    """Errors with which a vehicle counts as lost."""
     replanning: ReplannerConfig = ReplannerConfig()
     stream: StreamConfig = StreamConfig()
     """How what is seen of the target becomes observations."""
