@@ -17,6 +17,7 @@ from jaxplan.scenario import Scenario, build_scenario
 from jaxplan.spline import FlatState
 from jaxplan.tracking.plant import PlantState
 from jaxplan.tracking.rollout import FlightLog
+from jaxplan.vehicle.params import Vehicle
 
 INTERCEPTION_RADIUS = 0.4
 """Distance [m] that counts as an interception (paper, Sec. IV)."""
@@ -165,7 +166,7 @@ def fly(
         watch(stream, now, target.position(np.array([now]))[0])
         observations = stream.observe(now)
         if observations is not None and now >= scenario.departure - 1e-9:
-            cycles.append(guide.step(now, observations, _measured(state)))
+            cycles.append(guide.step(now, observations, _measured(state, scenario.vehicle)))
         times = scenario.control_times(now)
         state, log = scenario.plant.fly(state, guide.reference(times))
         flight, outcome = _until_decided(_flight(times[1:], log, guide, scenario), scenario)
@@ -191,9 +192,15 @@ def _see(stream: ObservationStream, now: float, position: Float[np.ndarray, "3"]
     stream.add(now, position, now)
 
 
-def _measured(state: PlantState) -> Measured:
-    """The vehicle as its estimator sees it: where it is."""
-    return Measured(np.asarray(state.pos, dtype=float), np.asarray(state.vel, dtype=float))
+def _measured(state: PlantState, vehicle: Vehicle) -> Measured:
+    """The vehicle as its estimator sees it: where it is, and the acceleration of its thrust in still air."""
+    velocity, (w, x, y, z) = np.asarray(state.vel, dtype=float), np.asarray(state.quat_wxyz, dtype=float)
+    up = np.array([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)])
+    mass, lift = float(vehicle.mass), float(vehicle.thrust_coefficient)
+    thrust = lift * float((np.asarray(state.rotor_speeds, dtype=float) ** 2).sum())
+    drag = float(vehicle.drag_coefficient) * float(np.linalg.norm(velocity)) * velocity
+    acceleration = (thrust * up - drag) / mass - np.array([0.0, 0.0, float(vehicle.gravity)])
+    return Measured(np.asarray(state.pos, dtype=float), velocity, acceleration)
 
 
 def _replanner(scenario: Scenario) -> Replanner:

@@ -171,14 +171,13 @@ def select_approach(approaches: Approaches) -> int:
 
 
 def select_stop(stops: Stops) -> int:
-    """Index of the stop that is soonest at rest; where none passes, of a clear one that the vehicle might not track.
+    """Index of the gentlest stop; where none passes, of a clear one that the vehicle might not track.
 
     Where none is clear, of the one that hits least hard; -1 when none is finite.
     """
-    soonest = -stops.arrival_times
-    best = select_best(soonest, stops.reasons)
+    best = select_best(stops.arrival_times, stops.reasons)
     if best < 0:
-        best = select_best(soonest, stops.reasons & np.uint32(HITS))
+        best = select_best(stops.arrival_times, stops.reasons & np.uint32(HITS))
     return best if best >= 0 else select_best(-stops.impact, stops.reasons & np.uint32(Reason.NONFINITE))
 
 

@@ -136,7 +136,7 @@ class Replanner:
         arrival_times = np.asarray(predicted.arrival_times) - (start.takeover - now)
         candidates = replace(predicted, arrival_times=arrival_times)
         timer.lap("predict", predicted)
-        self._certify(now, start)
+        self._certain = not start.measured and (self._certain or self._is_clear(now, 0.0))
         incumbent = self._incumbent(candidates, start)
         if start.deviation > self.config.stop_beyond:
             plans = self.planner.plan_batch(start.state, candidates, timer, np.inf)
@@ -173,22 +173,20 @@ class Replanner:
             return _Start(then, takeover, 0.0, False, 0.0)
         reference = self._committed.at(now)
         deviation = float(np.linalg.norm(measured.position - np.asarray(reference.pos)))
-        if deviation <= self.config.replan_beyond:
+        near = deviation <= self.config.replan_beyond
+        if near or (deviation <= self.config.stop_beyond and self._is_clear(now, deviation)):
             return _Start(then, takeover, deviation, False, 0.0)
         state = carried_on(measured, reference, then, takeover - now)
         return _Start(state, takeover, deviation, True, self.config.wider_margin)
 
-    def _certify(self, now: float, start: _Start) -> None:
-        """Whether what is left of the committed plan is clear; by as much more as the vehicle is off it."""
-        if not self._certain or start.measured:
-            since = now - self.committed.start_time
-            wider = start.deviation if start.measured else 0.0
-            verdict = self.planner.validate(self.committed.spline, since, None, wider)
-            self._certain = not verdict.faults & Fault.CLEARANCE
+    def _is_clear(self, now: float, wider: float) -> bool:
+        """Whether what is left of the committed plan keeps its distance from obstacles, and so much [m] more."""
+        verdict = self.planner.validate(self.committed.spline, now - self.committed.start_time, None, wider)
+        return not verdict.faults & Fault.CLEARANCE
 
     def _incumbent(self, candidates: Candidates, start: _Start) -> float:
         """What the committed plan is worth; nothing where it is not clear, or the vehicle not on it."""
-        if not self._certain or start.measured:
+        if not self._certain:
             return -np.inf
         weight = self.planner.config.likelihood_weight
         return incumbent_score(self.committed, candidates, start.takeover, weight, self.config)

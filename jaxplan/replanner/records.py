@@ -28,9 +28,10 @@ class ReplannerConfig:
     into the past. Off in simulation, whose results are not to depend on the machine."""
     keep_radius: float = 0.2
     """A committed interception stays one while the target is still predicted this close [m] to its goal."""
-    replan_beyond: float = 0.2
-    """Farther [m] than this from its reference, the next plan begins where the vehicle is measured."""
-    stop_beyond: float = 0.4
+    replan_beyond: float = 0.5
+    """Farther [m] than this from its reference, the next plan begins where the vehicle is measured, unless the
+    committed one is clear by as much more: then the vehicle finds back to it."""
+    stop_beyond: float = 0.8
     """Farther [m] than this, it stops from there first."""
     wider_margin: float = 0.05
     """What plans from a measured state keep from obstacles [m] beyond the usual (arbitrary)."""

@@ -153,7 +153,7 @@ def flying(planner, cycles=8):
     return replanner, seen
 
 
-@pytest.mark.parametrize("size", [0.0, 0.19])
+@pytest.mark.parametrize("size", [0.0, 0.49])
 def test_a_vehicle_near_its_reference_plans_from_the_reference(planner, size):
     (one, seen), (other, _) = flying(planner), flying(planner)
     off = size * np.array([0.0, 0.6, 0.8])
@@ -167,7 +167,7 @@ def test_a_vehicle_near_its_reference_plans_from_the_reference(planner, size):
 def test_a_vehicle_off_its_reference_plans_from_where_it_is(planner):
     """Carried on with the error of its velocity to the takeover; it keeps more from obstacles than usual."""
     replanner, seen = flying(planner)
-    off, faster = np.array([0.05, -0.25, 0.1]), np.array([0.3, 0.5, 0.0])
+    off, faster = np.array([0.1, -0.5, 0.2]), np.array([0.3, 0.5, 0.0])
     state = replanner.reference(np.array([0.8, 0.9]))
     cycle = replanner.step(0.8, seen, Measured(state.pos[0] + off, state.vel[0] + faster))
     assert cycle.status in {PlanStatus.INTERCEPT, PlanStatus.APPROACH}
@@ -185,7 +185,7 @@ def test_a_vehicle_off_its_reference_plans_from_where_it_is(planner):
 
 def test_a_vehicle_far_off_stops_from_where_it_is_and_goes_on(planner):
     replanner, seen = flying(planner)
-    off = np.array([0.3, -0.5, 0.2])
+    off = np.array([0.5, -0.8, 0.2])
     cycle = replanner.step(0.8, seen, measured_off(replanner, 0.8, off))
     assert cycle.status is PlanStatus.RECOVER
     stop = replanner.committed
@@ -232,7 +232,7 @@ def test_limits_of_the_latency_are_checked():
     with pytest.raises(InputError, match="most_latency"):
         ReplannerConfig(latency=0.2, most_latency=0.1)
     with pytest.raises(InputError, match="stop_beyond"):
-        ReplannerConfig(replan_beyond=0.3, stop_beyond=0.2)
+        ReplannerConfig(replan_beyond=0.9, stop_beyond=0.8)
 
 
 def test_nothing_is_committed_that_the_last_look_refuses():
