@@ -185,7 +185,7 @@ def test_a_vehicle_off_its_reference_plans_from_where_it_is(planner):
 
 def test_a_vehicle_far_off_stops_from_where_it_is_and_goes_on(planner):
     replanner, seen = flying(planner)
-    off = np.array([0.5, -0.8, 0.2])
+    off = np.array([0.0, 0.85, 0.2])
     cycle = replanner.step(0.8, seen, measured_off(replanner, 0.8, off))
     assert cycle.status is PlanStatus.RECOVER
     stop = replanner.committed
