@@ -13,4 +13,5 @@ NAMES = (
     "tune-knots",
     "network-size",
     "faults",
+    "reference-times",
 )

@@ -1,0 +1,125 @@
+"""A primal interior-point method for few variables and many margins, from starts that need not be feasible.
+
+    min over x, s    f(x) + w s - mu ( sum_i log(c_i(x) + s) + log s )
+
+The slack s is the same for all margins, so f + w s is an exact penalty of the worst violation: with w above the sum of
+the multipliers s tends to 0 with mu. Steps are Newton's with the Gauss-Newton Hessian sum_i mu / (c_i + s)^2 J_i J_i^T,
+damped in Levenberg's way, the best of a few step lengths is taken, and mu shrinks with every step that is.
+Sources: Fiacco & McCormick 1968 (barrier), Fletcher 1987, ch. 14 (exact penalty).
+"""
+
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxplan.arrays import AnyArray, Scalar
+
+from jaxplan.records import record
+from jaxplan.reference.margins import Linearised
+from jaxplan.validation import require_between, require_positive, require_within
+
+_SHRINKAGES = 0.5 ** np.arange(7)
+"""Of the full step (arbitrary)."""
+
+
+@record
+class DescentConfig:
+    """How a problem is descended: numbers that are traced, so that other ones compile nothing anew."""
+
+    iterations: int | Int[AnyArray, ""] = 60
+    penalty: Scalar = 10.0
+    """w: what one unit of violation costs in units of the objective."""
+    barrier: Scalar = 3e-3
+    """mu at the start."""
+    last_barrier: Scalar = 1e-5
+    rate: Scalar = 0.88
+    """By which mu shrinks with every step."""
+    slack: Scalar = 0.1
+    """s at the start, beyond the worst violation."""
+
+    def __post_init__(self) -> None:
+        require_within("descent", self, 1, 10_000, "iterations")
+        require_positive("descent", self, "penalty", "barrier", "last_barrier", "slack")
+        require_between("descent", self, 0.0, 1.0, "rate")
+
+
+@runtime_checkable
+class Values(Protocol):
+    def __call__(self, x: Float[Array, "k v"], /) -> tuple[Float[Array, "k"], Float[Array, "k c"]]:
+        """Objectives and margins of k problems."""
+
+
+@runtime_checkable
+class Linearise(Protocol):
+    def __call__(self, x: Float[Array, "k v"], /) -> Linearised:
+        """k problems around k points."""
+
+
+class _State(NamedTuple):
+    x: Float[Array, "k v"]
+    slack: Float[Array, "k"]
+    barrier: Float[Array, "k"]
+    damping: Float[Array, "k"]
+
+
+def descend(values: Values, linearise: Linearise, x: Float[Array, "k v"], config: DescentConfig) -> Float[Array, "k v"]:
+    """Local minima near k points; what violates its margins in the end has found no feasible one."""
+    _, margins = values(x)
+    begin = _State(
+        x=x,
+        slack=config.slack + jnp.maximum(-jnp.min(margins, axis=1), 0.0),
+        barrier=jnp.full(len(x), config.barrier, x.dtype),
+        damping=jnp.full(len(x), 1e-2, x.dtype),
+    )
+    step = lambda _, state: _step(values, linearise, state, config)
+    return jax.lax.fori_loop(0, config.iterations, step, begin).x
+
+
+def _step(values: Values, linearise: Linearise, state: _State, config: DescentConfig) -> _State:
+    direction = _direction(linearise(state.x), state, config)
+    shares = jnp.concatenate([jnp.zeros(1), jnp.asarray(_SHRINKAGES)]).astype(state.x.dtype)
+
+    def tried(share):
+        x, slack = state.x + share * direction[:, :-1], state.slack + share * direction[:, -1]
+        return _merit(*values(x), slack, state.barrier, config)
+
+    merits = jax.lax.map(tried, shares)
+    best = jnp.argmin(merits, axis=0)
+    share = shares[best][:, None]
+    moved = best > 0
+    damping = jnp.where(moved, jnp.where(best <= 1, state.damping / 4.0, jnp.where(best<=3,state.damping,state.damping * 3.0)), state.damping * 10.0)
+    return _State(
+        x=state.x + share * direction[:, :-1],
+        slack=state.slack + share[:, 0] * direction[:, -1],
+        barrier=jnp.where(moved, jnp.maximum(config.rate * state.barrier, config.last_barrier), state.barrier),
+        damping=jnp.clip(damping, 1e-8, 1e4),
+    )
+
+
+def _merit(objective, margins, slack, barrier, config):
+    inside = jnp.min(margins, axis=1) + slack
+    good = (inside > 0.0) & (slack > 0.0)
+    logs = jnp.sum(jnp.log(jnp.where(good[:, None], margins + slack[:, None], 1.0)), axis=1)
+    logs += jnp.log(jnp.where(good, slack, 1.0))
+    merit = objective + config.penalty * slack - barrier * logs
+    return jnp.where(good & jnp.isfinite(merit), merit, jnp.inf)
+
+
+def _direction(found: Linearised, state: _State, config: DescentConfig) -> Float[Array, "k w"]:
+    """Of x and s."""
+    distance = found.margins + state.slack[:, None]
+    pull, weight = state.barrier[:, None] / distance, state.barrier[:, None] / distance**2
+    ones = jnp.ones((*found.margins.shape, 1), found.jacobian.dtype)
+    rows = jnp.concatenate([found.jacobian, ones], axis=2)
+    hessian = jnp.swapaxes(rows * weight[:, :, None], 1, 2) @ rows
+    count = rows.shape[2]
+    curvature = jnp.concatenate([found.curvature, (state.barrier / state.slack**2)[:, None]], axis=1)
+    hessian += curvature[:, :, None] * jnp.eye(count, dtype=rows.dtype)
+    gradient = -jnp.einsum("kcv,kc->kv", rows, pull)
+    gradient = gradient.at[:, :-1].add(found.gradient).at[:, -1].add(config.penalty - state.barrier / state.slack)
+    scale = jnp.diagonal(hessian, axis1=1, axis2=2)
+    hessian += (state.damping[:, None] * scale + 1e-9)[:, :, None] * jnp.eye(count, dtype=rows.dtype)
+    return -jnp.linalg.solve(hessian, gradient[:, :, None])[:, :, 0]
