@@ -29,7 +29,7 @@ _SHRINKAGES = 0.5 ** np.arange(7)
 class DescentConfig:
     """How a problem is descended: numbers that are traced, so that other ones compile nothing anew."""
 
-    iterations: int | Int[AnyArray, ""] = 60
+    iterations: int | Int[AnyArray, ""] = 90
     penalty: Scalar = 10.0
     """w: what one unit of violation costs in units of the objective."""
     barrier: Scalar = 3e-3

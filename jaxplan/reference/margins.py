@@ -28,7 +28,7 @@ BODY_SAMPLES, PLACE_SAMPLES = 12, 36
 0.14 m apart. With 12 places vehicles cut the corners of walls."""
 MAX_TILT = math.radians(78.5)
 """Of the thrust from the vertical [rad]; beyond, plans flip over and are not tracked."""
-SHORTEST, LONGEST = 0.08, 2.0
+SHORTEST, LONGEST = 0.08, 4.0
 """Duration of a segment [s]; shorter ones make the problem ill-conditioned (arbitrary)."""
 FARTHEST_STOP = 6.0
 """From the meeting [m] (arbitrary)."""

@@ -66,7 +66,7 @@ class ReferenceConfig:
     latency: float = 0.1
     """Seconds from the departure until the vehicle may leave its hover, as in the closed loop."""
     descent: DescentConfig = DescentConfig()
-    refinement: DescentConfig = DescentConfig(iterations=20, barrier=1e-4, rate=0.85, slack=0.01)
+    refinement: DescentConfig = DescentConfig(iterations=30, barrier=1e-3, rate=0.85, slack=0.02)
 
     def __post_init__(self) -> None:
         require_within("reference", self, 3, 16, "segments")
@@ -125,16 +125,16 @@ def soonest(case: Interception, config: ReferenceConfig) -> Reference:
     task, x = _opened(case, config)
     x, descent = _slowed(task, x), config.descent
     found: list[Reference] = []
-    done, best = np.zeros(config.starts, bool), np.inf
+    best = np.inf
     for turn in range(config.rounds):
         x, descent = _descend(task, x, descent), config.refinement
-        times = np.where(done, np.inf, _times(task, x))
-        tried = np.flatnonzero(times < best - config.latency - WORTHWHILE)
+        tried = np.flatnonzero(_times(task, x) < best - config.latency - WORTHWHILE)
         if not len(tried):
-            break
+            if np.isfinite(best):
+                break
+            continue
         batch = _splines(task, x)
         flights = [_flown(case, batch.spline(place), config, turn + 1) for place in tried]
-        done[tried] = [one.verdict.accepted for one in flights]
         best = min(best, *(one.seconds for one in flights if one.verdict.accepted), np.inf)
         found += flights
         task, x = _tightened(task, x, tried, flights)

@@ -18,9 +18,9 @@ APART = 0.6
 """Routes whose points at equal shares of their lengths are nearer than this [m] along every axis count as one."""
 LONGER, MORE = 1.7, 1.0
 """Routes longer than the shortest by this factor and these metres are left out."""
-ACCELERATION, DELAY = 16.0, 0.25
-"""m/s^2 and s, of the guess how long a route takes."""
-GUESSES = np.linspace(0.4, 4.0, 25)
+ACCELERATION, DELAY = 5.0, 0.5
+"""m/s^2 and s, of the guess how long a route takes: slow, since the target is not where a faster plan would meet it."""
+GUESSES = np.linspace(0.4, 6.0, 29)
 """s; meeting times that are tried for the guess."""
 STOPS = (1.2, 0.2)
 """Metres straight on behind the meeting, in the order in which they are tried."""
