@@ -37,9 +37,10 @@ def report(results: Results[Any]) -> Report:
     lines = [_line(world, some) for world, some in parts.items()]
     spent = [s for s, compiled in zip(results.seconds, results.compiled, strict=True) if not compiled]
     text = [
-        f"{len(rows)} episodes of Table I. Reference: seconds from departure to within 0.4 m of the target, whose motion",
-        "is known, by the soonest trajectory found that the simulated vehicle flies in control and clear of everything;",
-        f"closed loop: the same by {name}, over the episodes in which both meet it. Ratios: closed loop over reference.",
+        f"{len(rows)} episodes of Table I. Reference: seconds from departure to within 0.4 m of the target, whose",
+        "motion is known, by the soonest trajectory found that the simulated vehicle flies in control and clear of",
+        f"everything; closed loop: the same by {name}, over the episodes in which both meet it. Ratios: closed loop",
+        "over reference.",
         "",
         as_markdown(header, lines),
         _extremes(rows),
@@ -104,5 +105,7 @@ def _extremes(rows: list[Row]) -> str:
     """Episodes without a reference, and those where the closed loop was sooner than it."""
     lost = [f"{row['target']} at {row['speed']:.2g} m/s" for row in rows if row["reference_s"] is None]
     sooner = sum(ratio < 1.0 for ratio in ratios(rows))
-    text = f"Without a reference: {', '.join(lost) or 'none'}. The closed loop was sooner than the reference in {sooner}."
+    text = (
+        f"Without a reference: {', '.join(lost) or 'none'}. The closed loop was sooner than the reference in {sooner}."
+    )
     return text + "\n"

@@ -15,7 +15,7 @@ LAYERS = [
     {"minsnap", "vehicle", "world"},
     {"prediction", "search", "knots", "policy", "arrival", "selection", "tracking", "feasibility"},
     {"planner"},
-    {"viz", "io", "interception", "scenario", "replanner", "metrics", "training"},
+    {"viz", "io", "interception", "scenario", "replanner", "metrics", "training", "reference"},
     {"runner"},
     {"cli", "experiments", "benchmarks", "jaxplan"},
 ]

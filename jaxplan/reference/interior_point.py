@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxplan.arrays import AnyArray, Scalar
-
 from jaxplan.records import record
 from jaxplan.reference.margins import Linearised
 from jaxplan.validation import require_between, require_positive, require_within
@@ -48,17 +47,23 @@ class DescentConfig:
 
 @runtime_checkable
 class Values(Protocol):
+    """What is minimised, and what must not be negative."""
+
     def __call__(self, x: Float[Array, "k v"], /) -> tuple[Float[Array, "k"], Float[Array, "k c"]]:
         """Objectives and margins of k problems."""
 
 
 @runtime_checkable
 class Linearise(Protocol):
+    """The same with its derivatives."""
+
     def __call__(self, x: Float[Array, "k v"], /) -> Linearised:
         """k problems around k points."""
 
 
 class _State(NamedTuple):
+    """Of the descents of k problems."""
+
     x: Float[Array, "k v"]
     slack: Float[Array, "k"]
     barrier: Float[Array, "k"]
@@ -70,19 +75,23 @@ def descend(values: Values, linearise: Linearise, x: Float[Array, "k v"], config
     _, margins = values(x)
     begin = _State(
         x=x,
-        slack=config.slack + jnp.maximum(-jnp.min(margins, axis=1), 0.0),
+        slack=jnp.asarray(config.slack + jnp.maximum(-jnp.min(margins, axis=1), 0.0)),
         barrier=jnp.full(len(x), config.barrier, x.dtype),
         damping=jnp.full(len(x), 1e-2, x.dtype),
     )
-    step = lambda _, state: _step(values, linearise, state, config)
+
+    def step(_: Int[Array, ""], state: _State) -> _State:
+        return _step(values, linearise, state, config)
+
     return jax.lax.fori_loop(0, config.iterations, step, begin).x
 
 
 def _step(values: Values, linearise: Linearise, state: _State, config: DescentConfig) -> _State:
+    """One damped Newton step, as long as is best of a few lengths."""
     direction = _direction(linearise(state.x), state, config)
     shares = jnp.concatenate([jnp.zeros(1), jnp.asarray(_SHRINKAGES)]).astype(state.x.dtype)
 
-    def tried(share):
+    def tried(share: Float[Array, ""]) -> Float[Array, "k"]:
         x, slack = state.x + share * direction[:, :-1], state.slack + share * direction[:, -1]
         return _merit(*values(x), slack, state.barrier, config)
 
@@ -90,7 +99,11 @@ def _step(values: Values, linearise: Linearise, state: _State, config: DescentCo
     best = jnp.argmin(merits, axis=0)
     share = shares[best][:, None]
     moved = best > 0
-    damping = jnp.where(moved, jnp.where(best <= 1, state.damping / 4.0, jnp.where(best<=3,state.damping,state.damping * 3.0)), state.damping * 10.0)
+    damping = jnp.where(
+        moved,
+        jnp.where(best <= 1, state.damping / 4.0, jnp.where(best <= 3, state.damping, state.damping * 3.0)),
+        state.damping * 10.0,
+    )
     return _State(
         x=state.x + share * direction[:, :-1],
         slack=state.slack + share[:, 0] * direction[:, -1],
@@ -99,7 +112,14 @@ def _step(values: Values, linearise: Linearise, state: _State, config: DescentCo
     )
 
 
-def _merit(objective, margins, slack, barrier, config):
+def _merit(
+    objective: Float[Array, "k"],
+    margins: Float[Array, "k c"],
+    slack: Float[Array, "k"],
+    barrier: Float[Array, "k"],
+    config: DescentConfig,
+) -> Float[Array, "k"]:
+    """Penalty and barrier together; infinite outside of the barrier."""
     inside = jnp.min(margins, axis=1) + slack
     good = (inside > 0.0) & (slack > 0.0)
     logs = jnp.sum(jnp.log(jnp.where(good[:, None], margins + slack[:, None], 1.0)), axis=1)
@@ -117,9 +137,9 @@ def _direction(found: Linearised, state: _State, config: DescentConfig) -> Float
     hessian = jnp.swapaxes(rows * weight[:, :, None], 1, 2) @ rows
     count = rows.shape[2]
     curvature = jnp.concatenate([found.curvature, (state.barrier / state.slack**2)[:, None]], axis=1)
-    hessian += curvature[:, :, None] * jnp.eye(count, dtype=rows.dtype)
+    hessian += curvature[:, :, None] * jnp.eye(count, dtype=rows.dtype)[None]
     gradient = -jnp.einsum("kcv,kc->kv", rows, pull)
     gradient = gradient.at[:, :-1].add(found.gradient).at[:, -1].add(config.penalty - state.barrier / state.slack)
     scale = jnp.diagonal(hessian, axis1=1, axis2=2)
-    hessian += (state.damping[:, None] * scale + 1e-9)[:, :, None] * jnp.eye(count, dtype=rows.dtype)
+    hessian += (state.damping[:, None] * scale + 1e-9)[:, :, None] * jnp.eye(count, dtype=rows.dtype)[None]
     return -jnp.linalg.solve(hessian, gradient[:, :, None])[:, :, 0]

@@ -104,7 +104,7 @@ def body_demand(vehicle: Vehicle, derivatives: Float[Array, "4 3"]) -> Float[Arr
     for reference in (state, against_drag(vehicle, state)):
         demand = demand_of(vehicle, reference)
         squared = jnp.stack(squared_rotor_speeds(vehicle, demand.moment, vehicle.mass * demand.specific_thrust))
-        found += [squared / vehicle.rotor_speed_max**2, demand.axes[2][2][None]]
+        found += [squared / vehicle.rotor_speed_max**2, jnp.asarray(demand.axes[2][2])[None]]
     return jnp.concatenate(found)
 
 
@@ -120,7 +120,7 @@ def _margins(
     offsets = jnp.stack([*[-least] * 4, *[jnp.ones_like(least)] * 4, jnp.full_like(least, -math.cos(MAX_TILT))] * 2)
     body = bodies @ jnp.asarray(_SIGNS.T, bodies.dtype) + offsets[None, None]
     lower, upper = jnp.asarray(task.world.bounds, places.dtype)[:, None, :, None]
-    walls = jnp.concatenate([places - lower, upper - places], axis=1) - limits.clearance[None, None]
+    walls = jnp.concatenate([places - lower, upper - places], axis=1) - jnp.asarray(limits.clearance)[None, None]
     distance = distances - limits.clearance[None]
     rows = [_rows(body), PER_METRE * distance.T, PER_METRE * _rows(jnp.swapaxes(walls, 1, 2))]
     return jnp.concatenate(rows, axis=1)
@@ -132,7 +132,7 @@ def _samples(task: Task, x: Float[Array, "v k"]) -> _Samples:
     segments, count, axes, width = batch.position.shape
     table = jnp.asarray(derivative_table(count, _middles(PLACE_SAMPLES), 0), x.dtype)
     places = jnp.matmul(table, batch.position.reshape(segments, count, axes * width))
-    faster = task.limits.dilation[None] ** jnp.arange(5, dtype=x.dtype)[:, None]
+    faster = jnp.asarray(task.limits.dilation)[None] ** jnp.arange(5, dtype=x.dtype)[:, None]
     states = batch.derivatives(_middles(BODY_SAMPLES)) * faster[None, None, :, None]
     return _Samples(states.reshape(-1, 5, axes, width), places.reshape(-1, axes, width))
 

@@ -49,11 +49,13 @@ class TargetTable:
         """Where the target is ``times`` [s] after the plan's start [m, world]."""
         steps = jnp.clip(times / self.interval, 0.0, len(self.position) - 1.0)
         index = jnp.clip(jnp.floor(steps).astype(jnp.int32), 0, len(self.position) - 2)
-        s = steps - index
+        s = (steps - index.astype(steps.dtype))[None]
         left, right = jnp.asarray(self.position)[index].T, jnp.asarray(self.position)[index + 1].T
         slope, next_slope = (self.interval * jnp.asarray(self.velocity)[i].T for i in (index, index + 1))
         step = right - left
-        return left + s * (slope + s * ((3.0 * step - 2.0 * slope - next_slope) + s * (slope + next_slope - 2.0 * step)))
+        return left + s * (
+            slope + s * ((3.0 * step - 2.0 * slope - next_slope) + s * (slope + next_slope - 2.0 * step))
+        )
 
 
 @record
@@ -71,13 +73,13 @@ class Task:
 class Variables(NamedTuple):
     """What is optimised, for each of k starts."""
 
-    log_durations: Float[Array, "m k"]
+    log_durations: Float[AnyArray, "m k"]
     """Of seconds; the last segment leads from the meeting to the stop."""
-    inner: Float[Array, "i 3 k"]
+    inner: Float[AnyArray, "i 3 k"]
     """The i = m - 2 waypoints between start and meeting [m, world]."""
-    offset: Float[Array, "3 k"]
+    offset: Float[AnyArray, "3 k"]
     """Of the meeting point from the target, in units of the meeting radius."""
-    stop: Float[Array, "3 k"]
+    stop: Float[AnyArray, "3 k"]
     """From the meeting point to where the vehicle comes to rest [m, world]."""
 
 
@@ -105,7 +107,7 @@ def meeting_time(variables: Variables) -> Float[Array, "k"]:
 
 def waypoints(task: Task, variables: Variables) -> Float[Array, "n 3 k"]:
     """The n = m + 1 waypoints, start and stop included [m, world]."""
-    meet = task.target.at(meeting_time(variables)) + task.limits.meet_radius * variables.offset
+    meet = task.target.at(meeting_time(variables)) + jnp.asarray(task.limits.meet_radius)[None] * variables.offset
     start = jnp.broadcast_to(jnp.asarray(task.start)[:, None], meet.shape)
     return jnp.concatenate([start[None], variables.inner, meet[None], (meet + variables.stop)[None]])
 

@@ -80,7 +80,8 @@ class ReferenceConfig:
 class Motion(Protocol):
     """A target's position [m] or velocity [m/s], world, at instants of the episode's clock [s]."""
 
-    def __call__(self, times: Float[np.ndarray, "n"], /) -> Float[np.ndarray, "n 3"]: ...
+    def __call__(self, times: Float[np.ndarray, "n"], /) -> Float[np.ndarray, "n 3"]:
+        """One row an instant."""
 
 
 class Interception(NamedTuple):
@@ -148,15 +149,11 @@ def _opened(case: Interception, config: ReferenceConfig) -> tuple[Task, Float[Ar
     """The task and its starts."""
     begin = case.departure + config.latency
     clock = begin + np.arange(0.0, HORIZON + 0.5 * INTERVAL, INTERVAL)
-    table = TargetTable(
-        interval=np.float64(INTERVAL), position=case.position(clock), velocity=case.velocity(clock)
-    )
+    table = TargetTable(interval=np.asarray(INTERVAL), position=case.position(clock), velocity=case.velocity(clock))
     own = float(case.judge.clearance(case.sought.start[None])[0]) - 0.01  # a start nearer to obstacles is allowed
     limits = (min(config.clearance, own), config.meet_radius, 1.0)
     each = Limits(**dict(zip(Limits.__dataclass_fields__, (np.full(config.starts, v) for v in limits), strict=True)))
-    task = Task(
-        start=case.sought.start, target=table, world=case.sought.world, vehicle=case.vehicle, limits=each
-    )
+    task = Task(start=case.sought.start, target=table, world=case.sought.world, vehicle=case.vehicle, limits=each)
     task = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), task)
     guesses = first_guesses(case.sought, lambda times: case.position(begin + times), config.segments, config.starts)
     return task, jnp.asarray(flatten(guesses).T)
@@ -176,11 +173,13 @@ def _slowed(task: Task, x: Float[Array, "k v"]) -> Float[Array, "k v"]:
 
 @jax.jit
 def _descend(task: Task, x: Float[Array, "k v"], config: DescentConfig) -> Float[Array, "k v"]:
+    """Local minima near k points."""
     return descend(functools.partial(values, task), functools.partial(linearise, task), x, config)
 
 
 @jax.jit
 def _splines(task: Task, x: Float[Array, "k v"]) -> SplineBatch:
+    """The trajectories of k points."""
     return splines(task, unflatten(x.T))
 
 
@@ -193,7 +192,9 @@ def _times(task: Task, x: Float[Array, "k v"]) -> Float[np.ndarray, "k"]:
     return np.where(np.asarray(margins).min(axis=1) > -VIOLATION, np.asarray(times), np.inf)
 
 
-def _flown(case: Interception, spline: PiecewisePolynomial, config: ReferenceConfig, turn: int, feasible: bool = True) -> Reference:
+def _flown(
+    case: Interception, spline: PiecewisePolynomial, config: ReferenceConfig, turn: int, feasible: bool = True
+) -> Reference:
     """One plan and its flight."""
     begin = case.departure + config.latency
     flight = fly(case.plant, hover(case.sought.start), spline, begin, case.seed)

@@ -31,7 +31,7 @@ GATHERING = 1.4
 _POINTS = 25
 """By which routes are compared."""
 
-Route = Float[np.ndarray, "n 3"]
+Route = Float[np.ndarray, "_ 3"]
 
 
 class Sought(NamedTuple):
@@ -63,7 +63,7 @@ def first_guesses(
     return _variables([(route, stop) for stop in STOPS for route in routes], segments, width)
 
 
-def _duration(length: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+def _duration(length: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     """A guess how long routes of some ``length`` [m] take [s]."""
     return DELAY + np.sqrt(2.0 * length / ACCELERATION)
 
@@ -100,7 +100,7 @@ def _variables(choices: list[tuple[Route, float]], segments: int, width: int) ->
         route, stop = choices[place % len(choices)]
         points = _resampled(route, GATHERING, segments)
         ahead = points[-1] - points[-2]
-        step = _duration(_along(route)[-1]) / (segments - 1)
+        step = float(_duration(_along(route)[-1:])[0]) / (segments - 1)
         columns.append(
             Variables(
                 log_durations=np.log(np.r_[np.full(segments - 1, step), STOP_TIME]),
