@@ -1,5 +1,8 @@
 """The last look at a plan against dense sampling, the rotors of ``jaxplan.vehicle`` and plans spoilt in every way."""
 
+import functools
+
+import jax
 import numpy as np
 import pytest
 
@@ -56,20 +59,16 @@ def test_the_clearance_is_a_bound_and_a_tight_one(since: float) -> None:
 
 def test_the_time_out_of_the_rotors_range_is_that_of_their_speeds() -> None:
     """Without drag, which ``rotor_limit_margin`` does not know."""
-    still, limited = replace(VEHICLE, drag_coefficient=0.0), in_float64(rotor_limit_margin)
+    still = replace(VEHICLE, drag_coefficient=0.0)
+    limited = in_float64(jax.jit(jax.vmap(functools.partial(rotor_limit_margin, still))))
     for stretch in (0.5, 0.6, 0.75, 1.5):
         spline = plan(stretch)
         times = np.linspace(0.0, float(spline.duration), 4001)
         states = spline.state(0.5 * (times[1:] + times[:-1]))
-        batch = FlatState(derivatives=states.derivatives, yaw=states.yaw)
-        margins = np.array([float(limited(still, FlatState(derivatives=d, yaw=y))) for d, y in rows(batch, 20)])
+        margins = np.asarray(limited(FlatState(derivatives=states.derivatives, yaw=states.yaw)))
         expected = float((margins < 0.0).mean() * spline.duration)
         found = validate(spline, room(), still, LEAST, ValidatorConfig(pieces=256)).excess
         assert found == pytest.approx(expected, abs=0.03)
-
-
-def rows(states: FlatState, every: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    return list(zip(states.derivatives[::every], states.yaw[::every], strict=True))
 
 
 def moved(spline: PiecewisePolynomial, segment: int, power: int, by: float) -> PiecewisePolynomial:

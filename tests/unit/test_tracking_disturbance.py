@@ -68,6 +68,7 @@ def test_the_gust_rises_and_falls() -> None:
     np.testing.assert_array_equal(air_velocity(Disturbance(gust=(1.0, 1.0, 1.0)), jnp.float32(0.0)), 0.0)
 
 
+@pytest.mark.slow
 def test_indi_holds_in_wind_and_with_a_weak_rotor_and_calm_changes_nothing() -> None:
     spline = minimum_snap(np.array([[0.0, 0.0, 1.0], [3.0, 1.0, 1.5]]), np.array([3.0]))
     flights, quiet = [spline] * 5, TrackConfig(noise=False)

@@ -205,6 +205,7 @@ def test_training_learns_and_goes_on_where_it_stopped(tmp_path, data):
         pretrain(tmp_path / "part", data, dataclasses.replace(SMALL, seed=1))
 
 
+@pytest.mark.slow
 def test_a_run_shorter_than_an_evaluation_is_evaluated_at_its_end(tmp_path, data):
     state, error = pretrain(tmp_path, data, dataclasses.replace(SMALL, evaluate_every=100), report=lambda text: None)
     assert int(state.step) == 40
