@@ -3,16 +3,17 @@
 import numpy as np
 from jaxtyping import Float
 
+from jaxplan.errors import InputError
 from jaxplan.replanner.records import CommittedPlan
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import PlanStatus
 
 
 class CommittedPlans:
-    """Begins with a hover; a plan that is added takes over at its ``start_time``."""
+    """Begins with one plan; one that is added takes over at its ``start_time``."""
 
-    def __init__(self, start: FlatState) -> None:
-        self.plans: list[CommittedPlan] = [_hold(start)]
+    def __init__(self, first: CommittedPlan) -> None:
+        self.plans: list[CommittedPlan] = [first]
 
     @property
     def newest(self) -> CommittedPlan:
@@ -22,6 +23,17 @@ class CommittedPlans:
     def add(self, plan: CommittedPlan) -> None:
         """It takes over no earlier than the newest one."""
         self.plans.append(plan)
+
+    def withdraw(self) -> None:
+        """Take back the newest plan, which nobody has flown."""
+        if len(self.plans) < 2:
+            raise InputError("replanner: there is no plan to withdraw, but the first one; want one that was committed")
+        self.plans.pop()
+
+    def forget(self, before: float) -> None:
+        """Drop the plans that were flown before this instant [s] only."""
+        flown = sum(plan.start_time <= before for plan in self.plans) - 1
+        del self.plans[: max(flown, 0)]
 
     def reference(self, times: Float[np.ndarray, "n"]) -> FlatState:
         """The commanded flat state at ``times`` [s], each from the plan in force then."""
@@ -41,7 +53,7 @@ class CommittedPlans:
         return FlatState(derivatives=states.derivatives[0], yaw=states.yaw[0])
 
 
-def _hold(state: FlatState) -> CommittedPlan:
+def hold(state: FlatState) -> CommittedPlan:
     """Stay at rest where ``state`` is, from the beginning of time."""
     position, yaw = np.zeros((1, 10, 3)), np.zeros((1, 6))
     position[0, 0], yaw[0, 0] = state.pos, state.yaw[0]

@@ -26,7 +26,7 @@ from jaxplan.prediction.candidates import Candidates
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.protocol import Predictor
 from jaxplan.records import replace
-from jaxplan.replanner.committed import CommittedPlans
+from jaxplan.replanner.committed import CommittedPlans, hold
 from jaxplan.replanner.incumbent import incumbent_score
 from jaxplan.replanner.measured import carried_on, usual_measured
 from jaxplan.replanner.records import CommittedPlan, Cycle, Measured, ReplannerConfig
@@ -72,25 +72,26 @@ class Replanner:
         self,
         planner: Planner,
         predictor: Predictor,
-        start: FlatState,
+        start: FlatState | CommittedPlan,
         config: ReplannerConfig | None = None,
         clock: Clock = time.perf_counter,
     ) -> None:
+        """``start`` is where the vehicle hovers, or the plan that it flies already."""
         self.config = config or ReplannerConfig()
         self.planner = planner
         self.latency = self.config.latency
         """Seconds from the next cycle's observations until its plan takes over."""
         self._predictor, self._clock = predictor, clock
-        self._committed = CommittedPlans(start)
+        self._committed = CommittedPlans(start if isinstance(start, CommittedPlan) else hold(start))
         self._took: deque[float] = deque(maxlen=REMEMBERED)
         self._cycles = 0
         self._last = -np.inf
-        self._certain = True
+        self._certain = not isinstance(start, CommittedPlan)
         self._refused = 0
 
     @property
     def plans(self) -> list[CommittedPlan]:
-        """The initial hover and every plan that was committed, in order."""
+        """The initial hover and every plan that was committed, in order, but those ``forget`` has dropped."""
         return self._committed.plans
 
     @property
@@ -106,6 +107,18 @@ class Replanner:
     def reference(self, times: Float[np.ndarray, "n"]) -> FlatState:
         """The commanded flat state at ``times`` [s], each from the plan in force then."""
         return self._committed.reference(times)
+
+    def withdraw(self) -> None:
+        """Take back the newest plan, because it reached whoever flies it too late.
+
+        Raises ``InputError`` where there is none but the first.
+        """
+        self._committed.withdraw()
+        self._certain = False
+
+    def forget(self, before: float) -> None:
+        """Drop the plans that were flown before this instant [s] only: a loop that never ends keeps its size."""
+        self._committed.forget(before)
 
     def update(self, change: Change) -> None:
         """Plan in a changed world from the next cycle on, and look there whether the committed plan is still clear.

@@ -78,8 +78,8 @@ class Cycle(NamedTuple):
 
     time: float
     status: PlanStatus
-    plans: Plans
-    """Every candidate of the cycle with its reasons."""
+    plans: Plans | None
+    """Every candidate of the cycle with its reasons; None where they stayed in another process."""
     chosen: int
     """Index in ``plans`` of what was committed; -1 when the old plan was kept, or another one than these committed."""
     stage_ms: dict[str, float]

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxplan.errors import InputError
 from jaxplan.status import PlanStatus
 
 if TYPE_CHECKING:
+    from jaxplan.planner import Plans
     from jaxplan.replanner import Cycle
 
 
@@ -31,23 +33,26 @@ def illustrative_cycle(cycles: "Sequence[Cycle]") -> "Cycle | None":
     """The cycle that shows most: one that committed an interception, with the most and longest trajectories."""
     best, most = None, (False, 0.0)
     for cycle in cycles:
-        shown = (cycle.status == PlanStatus.INTERCEPT, _total_distance(cycle))
+        if cycle.plans is None:
+            continue
+        shown = (cycle.status == PlanStatus.INTERCEPT, _total_distance(cycle.plans))
         if shown > most:
             best, most = cycle, shown
     return best
 
 
-def _total_distance(cycle: "Cycle") -> float:
+def _total_distance(plans: "Plans") -> float:
     """Straight distances [m] from the start to the goals of all trajectories of a cycle, added up."""
-    plans = cycle.plans
     traced = np.asarray(plans.trajectory) >= 0
     starts = np.asarray(plans.splines.position)[0, 0][:, np.asarray(plans.trajectory)[traced]].T
     return float(np.nansum(np.linalg.norm(np.asarray(plans.goals)[traced] - starts, axis=1)))
 
 
 def candidate_curves(cycle: "Cycle", samples: int = 12) -> CandidateCurves:
-    """Sample all trajectories of a cycle, ``samples`` points per segment."""
+    """Sample all trajectories of a cycle that has its candidates, ``samples`` points per segment."""
     plans = cycle.plans
+    if plans is None:
+        raise InputError("candidate_curves: the cycle's candidates stayed in another process, want a cycle with them")
     columns = np.asarray(plans.trajectory)
     traced = np.flatnonzero(columns >= 0)
     coefficients = np.asarray(plans.splines.position)[..., columns[traced]]
