@@ -15,7 +15,8 @@ LAYERS = [
     {"minsnap", "vehicle", "world"},
     {"prediction", "search", "knots", "policy", "arrival", "selection", "tracking", "feasibility"},
     {"planner"},
-    {"viz", "io", "interception", "scenario", "replanner", "metrics", "training", "reference"},
+    {"viz", "io", "interception", "scenario", "replanner", "metrics", "training", "reference"}
+    | {"runtime", "realtime"},
     {"runner"},
     {"cli", "experiments", "benchmarks", "jaxplan"},
 ]
@@ -35,6 +36,11 @@ SIBLINGS = {
     ("interception", "scenario"),
     ("interception", "replanner"),
     ("metrics", "interception"),
+    ("runtime", "replanner"),
+    ("realtime", "runtime"),
+    ("realtime", "scenario"),
+    ("realtime", "interception"),
+    ("realtime", "replanner"),
 }
 """Imports within one layer, and only these."""
 
