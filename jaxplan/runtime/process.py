@@ -1,7 +1,6 @@
 """One planner's process and the memory shared with it: started, looked at, ended."""
 
 import multiprocessing
-import pickle
 import time
 from collections.abc import Iterable, Iterator
 from typing import Any
@@ -37,12 +36,12 @@ class PlannerProcess:
         self._began = time.monotonic()
         try:
             self._process.start()
-        except (pickle.PicklingError, AttributeError, TypeError) as error:
+        except OSError as error:
+            raise ResourceError(f"runtime: no process can be started: {error}") from error
+        except Exception as error:  # whatever pickling meets
             raise InputError(
                 f"runtime: build cannot be sent to another process ({error}); want a function at the top of a module"
             ) from error
-        except OSError as error:
-            raise ResourceError(f"runtime: no process can be started: {error}") from error
 
     @property
     def pid(self) -> int | None:
