@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxplan.interception import Episode
+from jaxplan.interception import Episode, RealTime
 from jaxplan.status import Note, PlanStatus
 from jaxplan.versions import installed_versions
 
@@ -43,6 +43,7 @@ def episode_metrics(episode: Episode) -> dict[str, Any]:
         "wall_over_simulated": episode.wall_s / end,
         "switch_jump": _jumps(episode),
         "candidates": _candidates(episode),
+        "real_time": None if episode.real_time is None else _real_time(episode.real_time),
         "seed": scenario.seed,
         "versions": installed_versions(),
     }
@@ -84,6 +85,19 @@ def _jumps(episode: Episode) -> dict[str, float]:
     worst = np.max(jumps, axis=0) if jumps else np.zeros(5)
     names = ("position_m", "velocity_m_s", "acceleration_m_s2", "jerk_m_s3", "snap_relative")
     return dict(zip(names, (float(value) for value in worst), strict=True))
+
+
+def _real_time(kept: RealTime) -> dict[str, Any]:
+    """How long setpoints took, how late they were asked for, and how the planner's process did."""
+    status = kept.status
+    rows = {"setpoint_us": kept.setpoint_us, "behind_ms": kept.behind_ms}
+    return {
+        **{name: {f"p{q}": float(np.percentile(row, q)) for q in (50, 99, 100)} for name, row in rows.items()},
+        "late_plans": status.late,
+        "refused_plans": status.refused,
+        "restarts": status.restarts,
+        "planner_memory_mb": status.memory_mb,
+    }
 
 
 def _candidates(episode: Episode) -> dict[str, Any]:

@@ -15,8 +15,7 @@ LAYERS = [
     {"minsnap", "vehicle", "world"},
     {"prediction", "search", "knots", "policy", "arrival", "selection", "tracking", "feasibility"},
     {"planner"},
-    {"viz", "io", "interception", "scenario", "replanner", "metrics", "training", "reference"}
-    | {"runtime", "realtime"},
+    {"viz", "io", "interception", "scenario", "replanner", "metrics", "training", "reference"} | {"runtime"},
     {"runner"},
     {"cli", "experiments", "benchmarks", "jaxplan"},
 ]
@@ -37,10 +36,8 @@ SIBLINGS = {
     ("interception", "replanner"),
     ("metrics", "interception"),
     ("runtime", "replanner"),
-    ("realtime", "runtime"),
-    ("realtime", "scenario"),
-    ("realtime", "interception"),
-    ("realtime", "replanner"),
+    ("runtime", "scenario"),
+    ("interception", "runtime"),
 }
 """Imports within one layer, and only these."""
 

@@ -10,6 +10,7 @@ Benchmark = Literal[
     "plant",
     "policy",
     "prediction",
+    "runtime",
     "search",
     "time-allocation",
 ]

@@ -23,6 +23,7 @@ def intercept(
     config: Annotated[InterceptConfig | None, Parameter(name="*")] = None,
     *,
     require_success: bool = False,
+    realtime: bool = False,
     debug: bool = False,
 ) -> int:
     """Fly one closed-loop interception and write its numbers, trajectories, plans and picture.
@@ -31,6 +32,8 @@ def intercept(
     ----------
     require_success
         Return exit code 13 unless the target was intercepted.
+    realtime
+        Fly against the clock on the wall, with the planner in a process of its own.
     debug
         Show the traceback of an error.
     """
@@ -42,7 +45,8 @@ def intercept(
 
     with OutputFolder(config.out) as folder:
         with _progress_bar() as progress:
-            episode = interception.run(config, progress=progress)
+            fly = interception.run_in_real_time if realtime else interception.run
+            episode = fly(config, progress=progress)
         metrics = episode_metrics(episode)
         write_results(folder, config, episode, metrics)
         folder.publish()
@@ -87,6 +91,12 @@ def summary(metrics: dict[str, Any]) -> str:
         if isinstance(quantiles, dict) and "p50" in quantiles:
             values = f"{_number(quantiles['p50'], 1)} / {_number(quantiles['p99'], 1)}"
             rows.append((f"replan {stage}, p50 / p99", values, "ms"))
+    if metrics["real_time"] is not None:
+        kept = metrics["real_time"]
+        rows.append(
+            ("setpoint, p50 / p99", f"{kept['setpoint_us']['p50']:.0f} / {kept['setpoint_us']['p99']:.0f}", "us")
+        )
+        rows.append(("late plans", kept["late_plans"], ""))
     widths = [max(len(str(row[column])) for row in rows) for column in range(2)]
     return "\n".join(f"{name:<{widths[0]}}  {value!s:>{widths[1]}} {unit}".rstrip() for name, value, unit in rows)
 

@@ -20,18 +20,25 @@ class Setpoint(NamedTuple):
 
     time: float
     """[s]"""
-    position: Float[np.ndarray, "3"]
-    """[m]"""
-    velocity: Float[np.ndarray, "3"]
-    """[m/s]"""
-    acceleration: Float[np.ndarray, "3"]
-    """[m/s^2]"""
-    jerk: Float[np.ndarray, "3"]
-    """[m/s^3]"""
-    snap: Float[np.ndarray, "3"]
-    """[m/s^4]"""
+    derivatives: Float[np.ndarray, "5 3"]
+    """Position [m] and its first four derivatives: velocity, acceleration, jerk, snap."""
     yaw: Float[np.ndarray, "3"]
     """Yaw [rad, unwrapped], its rate [rad/s] and acceleration [rad/s^2]."""
+
+    @property
+    def position(self) -> Float[np.ndarray, "3"]:
+        """In metres."""
+        return self.derivatives[0]
+
+    @property
+    def velocity(self) -> Float[np.ndarray, "3"]:
+        """In metres per second."""
+        return self.derivatives[1]
+
+    @property
+    def acceleration(self) -> Float[np.ndarray, "3"]:
+        """In metres per second squared."""
+        return self.derivatives[2]
 
 
 class HeldPlans:
@@ -71,7 +78,8 @@ class HeldPlans:
     def at(self, time: float) -> Setpoint:
         """The setpoint at ``time`` [s]; no plan that is offered later changes what was said."""
         self._answered = max(self._answered, time)
-        return Setpoint(time, *self._row(time).reshape(6, 3))
+        rows = self._row(time).reshape(6, 3)
+        return Setpoint(time, rows[:5], rows[5])
 
     def preview(self, times: Float[np.ndarray, "n"]) -> FlatState:
         """What will be demanded at ``times`` [s] unless better plans come."""

@@ -209,6 +209,11 @@ class Runtime:
         """The last cycles, without their candidates, oldest first."""
         return tuple(self._cycles)
 
+    @property
+    def planner_pid(self) -> int | None:
+        """Of the planner's process at present."""
+        return self._planner.pid
+
     def close(self) -> None:
         """End the planner's process. Setpoints are answered as before, from what is held."""
         if self._over is None:

@@ -40,7 +40,7 @@ class PlanTable:
         """``table`` has the coefficients of each derivative in normalised time, as ``tabulate`` writes them."""
         self.head, self.durations, self.table = head, durations, table
         self.start_time = head.start_time
-        self._durations = durations.tolist()
+        self._durations, self._pieces = durations.tolist(), list(table)
         self._begins = [0.0, *np.cumsum(durations).tolist()]
         self._duration = self._begins.pop()
         self._end = table[-1].sum(axis=0)
@@ -53,7 +53,11 @@ class PlanTable:
             return self._end.copy()
         piece = bisect_right(self._begins, t) - 1 if t > 0.0 else 0
         s = (max(t, 0.0) - self._begins[piece]) / self._durations[piece]
-        return (s**_EXPONENTS).dot(self.table[piece])
+        s2 = s * s
+        s4 = s2 * s2
+        s8 = s4 * s4
+        powers = np.array((1.0, s, s2, s2 * s, s4, s4 * s, s4 * s2, s4 * s2 * s, s8, s8 * s))
+        return powers.dot(self._pieces[piece])
 
     @property
     def plan(self) -> CommittedPlan:
@@ -94,9 +98,6 @@ def tabulate(number: int, predecessor: int, plan: CommittedPlan) -> PlanTable:
         for order in range(3):
             _write(table[..., 15 + order : 16 + order], np.asarray(plan.spline.yaw, float)[..., None], durations, order)
     return PlanTable(head, durations, table)
-
-
-_EXPONENTS = np.arange(DEGREES)
 
 
 def _write(

@@ -9,6 +9,7 @@ import pytest
 from jaxplan import interception
 from jaxplan.config import InterceptConfig
 from jaxplan.errors import InputError
+from jaxplan.interception.judging import until_decided
 from jaxplan.io.targets import Target, load_target, stored_targets
 from jaxplan.metrics import episode_metrics
 from jaxplan.prediction.observations import Observations
@@ -141,10 +142,10 @@ def test_lost_tracking_and_collision_are_told_apart(scenario):
     flight = interception.fly(again(scenario, target=still(np.array([4.0, 4.0, 1.0]), 1.0))).flight
     rows = len(flight.times)
     lost = flight._replace(position_error=np.where(np.arange(rows) < 50, 0.0, np.nan))
-    decided, outcome = interception._until_decided(lost, scenario)
+    decided, outcome = until_decided(lost, scenario)
     assert (outcome, len(decided.times)) == ("tracking_lost", 51)
     hit = flight._replace(clearance=np.where(np.arange(rows) < 30, 1.0, 0.1))
-    decided, outcome = interception._until_decided(hit, scenario)
+    decided, outcome = until_decided(hit, scenario)
     assert (outcome, len(decided.times)) == ("collision", 31)
 
 
@@ -197,3 +198,20 @@ def test_hover_state_survives_float32_scope():
     """The library computes in float64 whatever the process's own setting is."""
     assert not jax.config.jax_enable_x64
     assert hover(np.array([1.0, 2.0, 3.0])).derivatives.dtype == np.float64
+
+
+@pytest.mark.slow
+def test_an_episode_in_real_time_is_met_as_soon_and_no_setpoint_waits(tmp_path):
+    """The planner in a process of its own, against the clock."""
+    config = InterceptConfig(out=str(tmp_path))
+    episode = interception.run_in_real_time(config)
+    kept = episode.real_time
+    assert episode.success
+    assert episode.compilations_after_warmup == 0
+    assert kept.status.restarts == 0
+    assert np.median(kept.setpoint_us) < 1000.0, "no waiting for a planner that takes 10 ms and more"
+    assert episode.wall_s == pytest.approx(episode.flight.times[-1], abs=0.5)
+    assert abs(float(episode.flight.times[-1]) - float(interception.run(config).flight.times[-1])) < 0.5
+    metrics = episode_metrics(episode)
+    assert metrics["real_time"]["late_plans"] == kept.status.late
+    assert sum(metrics["replan_status"].values()) == pytest.approx(metrics["replans"], abs=1)

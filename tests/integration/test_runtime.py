@@ -140,10 +140,10 @@ def flown(runtime, seconds, watch=None, target=GOAL):
 
 def steps(setpoints):
     """How far it is from one setpoint to the next beyond what the speed explains [m]."""
-    times, positions, speeds = (np.array([np.atleast_1d(s[k]) for s in setpoints]) for k in (0, 1, 2))
-    apart = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    reach = np.diff(times[:, 0]) * np.maximum(*(np.linalg.norm(part, axis=1) for part in (speeds[1:], speeds[:-1])))
-    return (apart - reach).max()
+    times = np.array([setpoint.time for setpoint in setpoints])
+    derivatives = np.array([setpoint.derivatives for setpoint in setpoints])
+    apart, speeds = (np.linalg.norm(rows, axis=1) for rows in (np.diff(derivatives[:, 0], axis=0), derivatives[:, 1]))
+    return (apart - np.diff(times) * np.maximum(speeds[1:], speeds[:-1])).max()
 
 
 def test_a_flight_with_a_box_in_the_way_a_worker_that_is_killed_and_an_end():
@@ -167,7 +167,7 @@ def test_a_flight_with_a_box_in_the_way_a_worker_that_is_killed_and_an_end():
         assert not np.asarray(ahead.vel)[-1].any()
         box = (np.array([2.5, 2.5, 0.0]), np.array([2.9, 2.9, 1.0]))
         runtime.update_world(add_box=box)
-        os.kill(runtime._planner.pid, signal.SIGKILL)
+        os.kill(runtime.planner_pid, signal.SIGKILL)
         setpoints += flown(runtime, 1.0)
         assert runtime.status().phase is Phase.RESTARTING
         assert "-9" in runtime.status().reason

@@ -37,6 +37,7 @@ def made_up_metrics(success: bool = True) -> dict[str, Any]:
         "max_yaw_error_deg": 11.0,
         "min_clearance_m": 0.4,
         "replans": 30,
+        "real_time": None,
         "replan_ms": {"total": {"p50": 12.0, "p99": 20.0, "max": 25.0}, "search": {"p50": 3.0, "p99": 4.0, "max": 5.0}},
         "target": {"name": "made up", "warnings": ["1 gaps, the longest 0.500 s at t = 1.000 s"]},
     }
@@ -206,6 +207,15 @@ def test_help_names_every_option(capsys: pytest.CaptureFixture[str]) -> None:
 def test_the_table_shows_what_is_missing_as_a_dash() -> None:
     lines = summary(made_up_metrics(success=False)).splitlines()
     assert lines[1].split() == ["time", "to", "intercept", "-", "s"]
+
+
+def test_the_table_of_a_run_in_real_time_says_how_it_kept_its_times() -> None:
+    kept = {"setpoint_us": {"p50": 41.7, "p99": 99.9}, "late_plans": 2}
+    lines = summary(made_up_metrics() | {"real_time": kept}).splitlines()
+    assert [line.split() for line in lines[-2:]] == [
+        ["setpoint,", "p50", "/", "p99", "42", "/", "100", "us"],
+        ["late", "plans", "2"],
+    ]
 
 
 def test_terminated_runs_leave_nothing(tmp_path: Path) -> None:
