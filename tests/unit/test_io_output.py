@@ -1,6 +1,7 @@
 """Output appears whole or not at all."""
 
 import os
+import random
 import resource
 import signal
 import subprocess
@@ -110,3 +111,52 @@ while True:
         content = (tmp_path / "x.txt").read_text()
         assert len(content) == 200_000
         assert len(set(content)) == 1
+
+
+def test_one_run_at_a_time_has_a_folder(tmp_path: Path) -> None:
+    with OutputFolder(tmp_path / "out") as folder:
+        with pytest.raises(ResourceError, match="another run is writing there"):
+            OutputFolder(tmp_path / "out")
+        folder.write("one.txt", "1")
+        folder.publish()
+    with OutputFolder(tmp_path / "out"):
+        pass
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["one.txt"]
+
+
+PUBLISHER = """
+import sys
+from jaxplan.io.output import OutputFolder
+for number in range(10**6):
+    with OutputFolder(sys.argv[1]) as folder:
+        for name in ("flown.csv", "plans.npz", "metrics.json"):
+            folder.write(name, f"{number}")
+        folder.publish()
+    print(number, flush=True)
+"""
+
+
+def vouched(folder: Path) -> set[str]:
+    """What the files of a run say, where the last of them is there."""
+    if not (folder / "metrics.json").exists():
+        return set()
+    return {(folder / name).read_text() for name in ("flown.csv", "plans.npz", "metrics.json")}
+
+
+@pytest.mark.parametrize("kills", [12, pytest.param(200, marks=pytest.mark.slow)])
+def test_a_run_that_is_killed_while_it_publishes_leaves_no_mixture(tmp_path: Path, kills: int) -> None:
+    rng, seen = random.Random(0), 0
+    for _ in range(kills):
+        with subprocess.Popen([sys.executable, "-c", PUBLISHER, str(tmp_path)], stdout=subprocess.PIPE) as child:
+            assert child.stdout is not None
+            assert child.stdout.readline() == b"0\n"
+            time.sleep(rng.uniform(0.0, 0.05))
+            child.kill()
+        assert len(vouched(tmp_path)) <= 1
+        seen += len(vouched(tmp_path))
+    assert seen > 0
+    with OutputFolder(tmp_path) as folder:
+        assert len(list(tmp_path.glob(".partial-*"))) == 1, "what the killed ones left is gone"
+        folder.write("metrics.json", "last")
+        folder.publish()
+    assert not list(tmp_path.glob(".partial-*"))
