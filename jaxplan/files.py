@@ -3,14 +3,21 @@
 Everything that the library writes for keeps goes through here: results, shards, states of training, weights' cards.
 """
 
+import io
 import json
 import os
 import tempfile
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
+
 from jaxplan.errors import FileError, InputError, ResourceError
+
+LARGEST_ARCHIVE = 64 * 2**20
+"""Bytes; arrays of ours that are larger are none of ours."""
 
 
 @runtime_checkable
@@ -71,6 +78,20 @@ def read_limited(path: Path, limit: int, want: str) -> bytes:
     if len(content) > limit:
         raise FileError(f"{path}: has more than {limit} bytes; want {want}")
     return content
+
+
+def read_arrays(content: bytes, most: int = LARGEST_ARCHIVE) -> dict[str, np.ndarray]:
+    """The arrays of an ``.npz`` that says it holds at most ``most`` bytes; nothing is unpacked before that is known.
+
+    Raises:
+        ValueError: it says that it holds more, or is not an ``.npz`` of plain arrays; other errors where it is damaged.
+    """
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        stated = sum(member.file_size for member in archive.infolist())
+    if stated > most:
+        raise ValueError(f"states {stated} bytes, want at most {most}")
+    with np.load(io.BytesIO(content), allow_pickle=False) as data:
+        return {key: data[key] for key in data.files}
 
 
 def flush(path: Path) -> None:

@@ -16,12 +16,9 @@ import jax
 import numpy as np
 
 from jaxplan.errors import FileError
-from jaxplan.files import cannot_write, read_limited, write_atomically
+from jaxplan.files import LARGEST_ARCHIVE, cannot_write, read_arrays, read_limited, write_atomically
 
 FORMAT = 3
-LARGEST = 64 * 2**20
-"""Bytes; a larger file is not one of ours."""
-
 Arrays = dict[str, np.ndarray]
 
 
@@ -52,10 +49,9 @@ def read_weights(path: Path, kind: str) -> tuple[dict[str, Any], Arrays]:
     Raises:
         FileError: not there, too large, damaged, of another format or kind, or of another hash than the file states.
     """
-    content = read_limited(path, LARGEST, f"a {kind}, written by jaxplan train")
+    content = read_limited(path, LARGEST_ARCHIVE, f"a {kind}, written by jaxplan train")
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as data:
-            arrays = {key: data[key] for key in data.files}
+        arrays = read_arrays(content)
         header = json.loads(arrays.pop("header").tobytes())
         version, found = header["format"], header["kind"]
     except Exception as error:  # zip, JSON, key, ... : a damaged file can fail anywhere

@@ -5,6 +5,7 @@ classes stay common because flights are tried from too fast to comfortably slow.
 """
 
 import math
+import zipfile
 from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -17,7 +18,7 @@ from jaxplan.errors import FileError
 from jaxplan.feasibility.classifier import Classifier, Model
 from jaxplan.feasibility.features import motion_features
 from jaxplan.feasibility.gaussian_process import marginals
-from jaxplan.files import write_atomically
+from jaxplan.files import LARGEST_ARCHIVE, read_arrays, read_limited, write_atomically
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.precision import in_float64
 from jaxplan.tracking.track import track
@@ -114,8 +115,8 @@ def load_labels(paths: list[Path]) -> Labelled:
     rounds = []
     for path in paths:
         try:
-            with np.load(path, allow_pickle=False) as data:
-                rounds.append(Labelled(data["motion"], data["feasible"]))
-        except (OSError, KeyError, ValueError) as error:
+            data = read_arrays(read_limited(path, LARGEST_ARCHIVE, "a round of labels"))
+            rounds.append(Labelled(data["motion"], data["feasible"]))
+        except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
             raise FileError(f"{path}: is not a round of labels ({error}); remove it to make it again") from error
     return Labelled(*(np.concatenate(column, axis=-1) for column in zip(*rounds, strict=True)))

@@ -8,7 +8,6 @@ a policy can learn what that state changes. ``dataset.json`` holds what made it 
 import dataclasses
 import functools
 import hashlib
-import io
 import json
 import math
 import zipfile
@@ -21,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxplan.errors import FileError
-from jaxplan.files import create_folder, write_atomically
+from jaxplan.files import LARGEST_ARCHIVE, create_folder, read_arrays, read_limited, write_atomically
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.precision import in_float64
 from jaxplan.training.labels import (
@@ -285,11 +284,11 @@ def write_shard(path: Path, shard: Shard) -> None:
 def read_shard(path: Path) -> Shard:
     """A shard of ``make_dataset``."""
     try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
-            wide = {name: data[name].astype(float) for name in _FLOATS}
-            queries = Queries(wide["waypoints"], data["count"], wide["derivatives"], wide["yaw"])
-            labels = wide["durations"], data["feasible"], wide["slowdown"]
-            return Shard(queries, *labels, wide["alpha"], wide["sped_up"])
+        data = read_arrays(read_limited(path, LARGEST_ARCHIVE, "a shard of jaxplan train dataset"))
+        wide = {name: data[name].astype(float) for name in _FLOATS}
+        queries = Queries(wide["waypoints"], data["count"], wide["derivatives"], wide["yaw"])
+        labels = wide["durations"], data["feasible"], wide["slowdown"]
+        return Shard(queries, *labels, wide["alpha"], wide["sped_up"])
     except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
         raise FileError(f"{path}: cannot be read as a shard of a training set ({error}); make it again") from error
 

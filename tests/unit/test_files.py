@@ -1,6 +1,7 @@
 """Files are whole or not there, and a folder belongs to one configuration."""
 
 import dataclasses
+import io
 import os
 from pathlib import Path
 
@@ -9,7 +10,18 @@ import pytest
 
 from jaxplan import files
 from jaxplan.errors import FileError, InputError, ResourceError
-from jaxplan.files import create_folder, read_limited, require_configuration, state_configuration, write_atomically
+from jaxplan.files import (
+    LARGEST_ARCHIVE,
+    create_folder,
+    read_arrays,
+    read_limited,
+    require_configuration,
+    state_configuration,
+    write_atomically,
+)
+from jaxplan.training.active import load_labels
+from jaxplan.training.dataset import read_shard
+from jaxplan.weights import read_weights
 
 STATED = {"steps": 3, "network": {"hidden": 64, "latent": 32}, "span": (0.5, 2.0), "rounds": 7}
 
@@ -112,3 +124,26 @@ def test_configurations_with_infinity_are_themselves_again(tmp_path: Path) -> No
 
     state_configuration(tmp_path, dataclasses.asdict(Limits()))
     state_configuration(tmp_path, dataclasses.asdict(Limits()))
+
+
+def packed(**arrays: np.ndarray) -> bytes:
+    content = io.BytesIO()
+    np.savez_compressed(content, **arrays)
+    return content.getvalue()
+
+
+def test_arrays_are_not_unpacked_before_their_size_is_known(tmp_path: Path) -> None:
+    """Few bytes that would become many are refused by what the archive states."""
+    assert read_arrays(packed(a=np.arange(3)))["a"].tolist() == [0, 1, 2]
+    bomb = packed(a=np.zeros(LARGEST_ARCHIVE // 8 + 1))
+    assert len(bomb) < LARGEST_ARCHIVE / 500
+    with pytest.raises(ValueError, match="states 671"):
+        read_arrays(bomb)
+    file = tmp_path / "bomb.npz"
+    file.write_bytes(bomb)
+    with pytest.raises(FileError, match="cannot be read as a policy"):
+        read_weights(file, "policy")
+    with pytest.raises(FileError, match="cannot be read as a shard"):
+        read_shard(file)
+    with pytest.raises(FileError, match="is not a round of labels"):
+        load_labels([file])
