@@ -68,7 +68,7 @@ def read_limited(path: Path, limit: int, want: str) -> bytes:
     Raises:
         FileError: no such file, unreadable or larger.
     """
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise FileError(f"{path}: no such file; want {want}")
     try:
         with path.open("rb") as stream:
@@ -114,7 +114,7 @@ def create_folder(folder: Path) -> list[Path]:
     """
     created: list[Path] = []
     try:
-        for missing in reversed([place for place in (folder, *folder.parents) if not place.exists()]):
+        for missing in reversed([place for place in (folder, *folder.parents) if not os.path.exists(place)]):
             missing.mkdir(exist_ok=True)
             created.append(missing)
         with tempfile.TemporaryFile(dir=folder) as probe:
@@ -152,7 +152,7 @@ def state_configuration(folder: Path, statement: Mapping[str, Any], may_differ: 
     create_folder(folder)
     stated, text = folder / "config.json", json.dumps(statement, indent=1) + "\n"
     try:
-        if not stated.is_file() or stated.read_text(encoding="utf-8") != text:
+        if not os.path.isfile(stated) or stated.read_text(encoding="utf-8") != text:
             write_atomically(stated, text)
     except OSError as error:
         raise cannot_write(folder, error) from error
@@ -161,7 +161,7 @@ def state_configuration(folder: Path, statement: Mapping[str, Any], may_differ: 
 def require_configuration(folder: Path, statement: Mapping[str, Any], may_differ: tuple[str, ...] = ()) -> None:
     """Raise what ``state_configuration`` raises where ``folder`` belongs to another configuration; write nothing."""
     stated = folder / "config.json"
-    if not stated.exists():
+    if not os.path.exists(stated):
         return
     try:
         saved = dict(json.loads(stated.read_text(encoding="utf-8")))

@@ -9,6 +9,7 @@ name. ``jaxplan.prediction.target_model`` has a container of its own (docs/decis
 import hashlib
 import io
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -68,10 +69,10 @@ def read_weights(path: Path, kind: str) -> tuple[dict[str, Any], Arrays]:
 def resolve_weights(source: str | Path, folder: Path, kind: str) -> tuple[Path, str]:
     """File and name of weights: those shipped in ``folder`` by name, or a file."""
     shipped = folder / f"{source}.npz"
-    if shipped.is_file():
+    if os.path.isfile(shipped):
         return shipped, str(source)
     path = Path(source)
-    if path.is_file():
+    if os.path.isfile(path):
         return path, path.stem
     names = ", ".join(sorted(file.stem for file in folder.glob("*.npz"))) or "none"
     raise FileError(f"{kind} {str(source)!r}: neither a file nor a shipped {kind} ({names}); correct the name")

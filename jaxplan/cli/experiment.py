@@ -1,5 +1,6 @@
 """``jaxplan experiment``: the paper's tables and figures, each by one command."""
 
+import os
 import sys
 import time
 from dataclasses import dataclass
@@ -112,7 +113,7 @@ def _base(found: "Experiment[Any]", name: str, options: RunOptions) -> tuple[str
     if options.preset is not None and options.preset not in PRESETS:
         raise InputError(f"--preset: have {options.preset!r}, want one of {', '.join(PRESETS)}")
     saved = options.config or _folder(name, options) / "config.json"
-    if options.config is not None or (options.preset is None and options.resume and saved.is_file()):
+    if options.config is not None or (options.preset is None and options.resume and os.path.isfile(saved)):
         preset, values = read_config(saved, name)
         from_plain(found.config_type, values)
         return preset, values

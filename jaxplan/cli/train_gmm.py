@@ -2,6 +2,7 @@
 
 import dataclasses
 import hashlib
+import os
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
@@ -61,7 +62,7 @@ def gmm(
         Show the traceback of an error.
     """
     require_supported_jax()
-    if out.suffix != ".npy" or not out.parent.is_dir() or windows < 1:
+    if out.suffix != ".npy" or not os.path.isdir(out.parent) or windows < 1:
         have = f"--out {out} and --windows {windows}"
         raise InputError(f"train gmm: have {have}, want a .npy file in a folder that exists and at least 1; correct it")
     room = None if world is None else load_world(world)

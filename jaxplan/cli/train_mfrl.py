@@ -1,6 +1,7 @@
 """``jaxplan train mfrl``: reinforce a pretrained policy under the feasibility classifier."""
 
 import dataclasses
+import os
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,7 @@ def mfrl(
     """
     require_supported_jax()
     for path in (out, classifier):
-        if path.suffix != ".npz" or not path.parent.is_dir():
+        if path.suffix != ".npz" or not os.path.isdir(path.parent):
             raise InputError(f"train mfrl: have {path}, want a .npz file in a folder that exists; correct it")
     made, pretrained = read_config(data), load_parameters(start)
     examples = load_examples(data, held_out=False)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import os
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +77,7 @@ def pretrain(
         Show the traceback of an error.
     """
     require_supported_jax()
-    if out.suffix != ".npz" or not out.parent.is_dir():
+    if out.suffix != ".npz" or not os.path.isdir(out.parent):
         raise InputError(f"train pretrain: have --out {out}, want a .npz file in a folder that exists; correct it")
     options, parameters = option_values(config, beside=_BESIDE), None
     if start is not None:

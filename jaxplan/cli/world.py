@@ -1,5 +1,6 @@
 """``jaxplan world``: what a map holds."""
 
+import os
 from pathlib import Path
 
 
@@ -25,7 +26,7 @@ def world(file: str, *, padding: float = 0.5, out: str = "world.png", debug: boo
     from jaxplan.world.load import load_world
     from jaxplan.world.report import lattice_reports, obstacle_counts
 
-    if not Path(out).parent.is_dir() or Path(out).suffix != ".png":
+    if not os.path.isdir(Path(out).parent) or Path(out).suffix != ".png":
         raise InputError(f"--out: have {out!r}, want a .png file in a folder that exists; correct it")
     read = load_world(file)
     size = " x ".join(f"{side:.4g}" for side in read.bounds[1] - read.bounds[0])

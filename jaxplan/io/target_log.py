@@ -4,6 +4,7 @@ A header is optional, ``#`` starts a comment, further columns (TUM's quaternion)
 used is an error that names the line; what can be used but deserves a look is in the log's ``report``.
 """
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -129,9 +130,9 @@ def resample(log: TargetLog, dt: float) -> TargetLog:
 
 
 def _text(path: Path) -> str:
-    if not path.exists():
+    if not os.path.exists(path):
         raise FileError(f"target file {str(path)!r} does not exist; give a stored target's name or a file's path")
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise FileError(f"target file {str(path)!r} is not a regular file; {_WANT}")
     try:
         if path.stat().st_size > _LARGEST_FILE:

@@ -5,6 +5,7 @@ A stored trajectory is a list of waypoints and durations; its minimum-snap splin
 
 import dataclasses
 import json
+import os
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -66,7 +67,7 @@ class Target:
 def stored_targets(world: str) -> list[str]:
     """Names of the trajectories stored for a world, in order; none for a world from a file."""
     path = _STORED / f"{world}_targets.json"
-    return list(json.loads(path.read_text())["trajectories"]) if path.is_file() else []
+    return list(json.loads(path.read_text())["trajectories"]) if os.path.isfile(path) else []
 
 
 def load_target(name_or_path: str | None, *, world: str, speed: float | None = None) -> Target:
@@ -88,7 +89,7 @@ def load_target(name_or_path: str | None, *, world: str, speed: float | None = N
     if name_or_path is None or name_or_path in names:
         return _stored(world, name_or_path or names[0], DEFAULT_SPEED if speed is None else speed)
     path = Path(name_or_path)
-    if not path.suffix and not path.exists():
+    if not path.suffix and not os.path.exists(path):
         known = f"want one of {', '.join(names)} or a file" if names else "want a file"
         raise InputError(f"target: unknown name {name_or_path!r}, {known}")
     return _recorded(path, speed)

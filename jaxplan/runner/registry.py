@@ -41,7 +41,7 @@ def load_experiment(name: str) -> Experiment[Any]:
     if "." in name:
         try:
             return importlib.import_module(name).EXPERIMENT
-        except (ImportError, AttributeError, ValueError) as error:
+        except (ImportError, AttributeError, ValueError, TypeError) as error:
             raise InputError(f"experiment: {name!r} is no module with an EXPERIMENT ({error}); correct it") from error
     if name not in names:
         raise InputError(

@@ -6,6 +6,7 @@ says what it belongs to (``config.json``), so that two experiments never mix.
 
 import fcntl
 import json
+import os
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, NamedTuple
@@ -89,7 +90,7 @@ class Store:
     def read(self, shard: Shard) -> dict[str, Outcome] | None:
         """The outcomes of a finished shard by item; None where it is not finished or an item failed last time."""
         path = self._path(shard)
-        if not path.is_file():
+        if not os.path.isfile(path):
             return None
         try:
             rows = json.loads(path.read_text(encoding="utf-8"))["rows"]
@@ -115,16 +116,16 @@ class Store:
     def runs(self) -> list[dict[str, Any]]:
         """Every run that evaluated shards of this folder."""
         path = self.folder / "shards" / "runs.json"
-        return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else []
+        return json.loads(path.read_text(encoding="utf-8")) if os.path.isfile(path) else []
 
     def _path(self, shard: Shard) -> Path:
         return self.folder / "shards" / f"{shard.number:06d}.json"
 
     def _check(self, statement: dict[str, Any], resume: bool) -> None:
         path = self.folder
-        if path.exists() and not path.is_dir():
+        if os.path.exists(path) and not os.path.isdir(path):
             raise InputError(f"--out {str(path)!r}: is a file, want a folder; choose another --out")
-        if not path.is_dir() or not any(not entry.name.startswith(".") for entry in path.iterdir()):
+        if not os.path.isdir(path) or not any(not entry.name.startswith(".") for entry in path.iterdir()):
             return
         if not (path / "config.json").is_file():
             raise InputError(f"--out {str(path)!r}: holds other files, want a folder of its own; choose another --out")

@@ -10,6 +10,7 @@ import functools
 import hashlib
 import json
 import math
+import os
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -143,7 +144,7 @@ def make_dataset(
     record = {"config": dataclasses.asdict(config), "shard_size": SHARD_SIZE, "held_out_every": HELD_OUT}
     record["vehicle"] = to_header(load_vehicle(config.vehicle))
     stated = folder / "dataset.json"
-    if stated.exists():
+    if os.path.exists(stated):
         held = read_config(folder)
         if dataclasses.replace(held, shards=config.shards) != config:
             raise FileError(f"{folder}: holds a dataset of another configuration; choose another folder")
@@ -151,7 +152,7 @@ def make_dataset(
             raise FileError(f"{folder}: is of {held.shards} shards, want no fewer than that, have {config.shards}")
         dataset_vehicle(folder)
     write_atomically(stated, json.dumps(record, indent=1) + "\n")
-    missing = [index for index in range(config.shards) if not shard_path(folder, index).exists()]
+    missing = [index for index in range(config.shards) if not os.path.exists(shard_path(folder, index))]
     for index, shard in each(functools.partial(flown_shard, config), missing):
         write_shard(shard_path(folder, index), shard)
         labelled, tracked = shard.feasible.mean(), np.mean(shard.slowdown[shard.feasible] == 1.0)

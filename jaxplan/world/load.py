@@ -1,5 +1,6 @@
 """Worlds by a stored name or from files: which reader takes which file."""
 
+import os
 from importlib import resources
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -57,7 +58,7 @@ def load_world(name_or_path: str | Path) -> World:
         return _read(environment_path(str(name_or_path)), load_own_mjcf)
     path = Path(name_or_path)
     if path.suffix.lower() not in _READERS:
-        if path.exists():
+        if os.path.exists(path):
             endings = ", ".join(_READERS)
             raise FileError(f"{path}: have the ending {path.suffix!r}, want one of {endings}; convert the map")
         raise InputError(

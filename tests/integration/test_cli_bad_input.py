@@ -12,6 +12,7 @@ FLIGHT = "t,x,y,z\n0,-4,4,1\n5,0,4.3,1\n10,4,4,1\n"
 
 ENV1 = str(Path(jaxplan.__file__).parent / "prediction" / "models" / "env1.npy")
 
+LONG = "a" * 300
 CASES = {
     "unknown world": (["--world", "env9"], 10, "env9"),
     "unknown target": (["--target", "nobody"], 10, "nobody"),
@@ -32,6 +33,19 @@ CASES = {
     "text as boxes": (["--world", "text.json"], 11, "text.json"),
     "text as mjcf": (["--world", "text.xml"], 11, "text.xml"),
     "unknown ending": (["--world", "good.csv"], 11, "good.csv"),
+    "world of a name that is too long": (["--world", LONG], 10, LONG[:9]),
+    "map of a name that is too long": (["--world", f"{LONG}.stl"], 11, "no such file"),
+    "target of a name that is too long": (["--target", f"{LONG}.csv"], 11, "does not exist"),
+    "model of a name that is too long": (["--predictor", "gmm", "--target-model", f"{LONG}.npy"], 11, "no such file"),
+    "a folder as target": (["--target", "."], 11, "."),
+}
+ELSEWHERE = {
+    "a module that begins with a dot": (["experiment", ".x"], 10, "is no module"),
+    "results of too long a name": (
+        ["experiment", "table1", "--preset", "smoke", "--out", LONG],
+        12,
+        "too long",
+    ),
 }
 
 
@@ -60,8 +74,17 @@ def inputs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize("name", CASES)
 def test_one_line_one_code_nothing_left(inputs: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
     arguments, code, text = CASES[name]
+    refuse(["intercept", *arguments, "--out", "new/folder"], code, text, inputs, capsys)
+
+
+@pytest.mark.parametrize("name", ELSEWHERE)
+def test_other_commands_too(inputs: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+    refuse(*ELSEWHERE[name], inputs, capsys)
+
+
+def refuse(arguments: list[str], code: int, text: str, inputs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = sorted(os.listdir(inputs))
-    assert cli.run(["intercept", *arguments, "--out", "new/folder"]) == code
+    assert cli.run(arguments) == code
     printed = capsys.readouterr()
     assert text in printed.err
     assert printed.err.startswith("jaxplan: ")

@@ -36,8 +36,8 @@ class ByteStream(Protocol):
 
 def file_size(path: Path) -> int:
     """Bytes of a regular file; ``FileError`` for anything else."""
-    if not path.is_file():
-        have = "no such file" if not path.exists() else "something that is not a file"
+    if not os.path.isfile(path):
+        have = "no such file" if not os.path.exists(path) else "something that is not a file"
         raise FileError(f"{path}: {have}, want a readable map; check the path")
     return path.stat().st_size
 
