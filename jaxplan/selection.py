@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
 
-from jaxplan.arrays import AnyArray, Scalar
+from jaxplan.arrays import AnyArray, Scalar, namespace
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.numerics import safe_norm
 from jaxplan.polynomials import control_point_table
@@ -26,7 +26,13 @@ class CheckConfig:
     max_deviation: float = 0.5
     """delta_max [m]: largest distance from the searched path (paper, Sec. IV)."""
     tracking_margin: float = 0.1
-    """Clearance [m] beyond the vehicle's own radius, for the tracking error."""
+    """Clearance [m] beyond the vehicle's own radius, for the tracking error, at rest and in slow flight."""
+    slow: float = 2.0
+    """Speed [m/s] from which more is kept (docs/decisions/0025)."""
+    margin_per_speed: float = 0.025
+    """How much more [m per m/s]."""
+    most_margin: float = 0.25
+    """The most [m] that is kept beyond the radius."""
     samples_per_segment: int = 16
     """Pieces into which the clearance check cuts a segment; more pieces give a tighter bound."""
     instants: int = 128
@@ -38,10 +44,16 @@ class CheckConfig:
 
     def __post_init__(self) -> None:
         require_positive("checks", self, "max_deviation", "max_body_rate")
-        require_at_least("checks", self, 0, "tracking_margin")
+        require_at_least("checks", self, 0, "tracking_margin", "slow", "margin_per_speed")
+        require_at_least("checks", self, self.tracking_margin, "most_margin")
         require_within("checks", self, 0, 1, "least_probability")
         require_within("checks", self, 2, 256, "samples_per_segment")
         require_within("checks", self, 2, 4096, "instants")
+
+    def margin_at(self, speed: Float[AnyArray, "*n"]) -> Float[AnyArray, "*n"]:
+        """Clearance [m] beyond the radius that a trajectory keeps where it is so fast [m/s]."""
+        grown = self.tracking_margin + self.margin_per_speed * (speed - self.slow)
+        return namespace(speed).clip(grown, self.tracking_margin, self.most_margin)
 
 
 @record
@@ -116,9 +128,10 @@ def check_clearance(
 ) -> Margins:
     """The margins with the clearance of every spline in this world."""
     samples = splines.derivatives(_middles(config))
-    clear = _clearance_bound(samples, splines, config.samples_per_segment, world)
-    hit = bit(~(clear >= vehicle.radius + config.tracking_margin), Reason.CLEARANCE)
-    return replace(margins, clearance=clear, reasons=margins.reasons | hit)
+    clear = _clearance_bounds(samples, splines, config.samples_per_segment, world)
+    spare = clear - config.margin_at(safe_norm(samples[:, :, 1], axis=2))
+    hit = bit(~(jnp.min(spare, axis=(0, 1)) >= vehicle.radius), Reason.CLEARANCE)
+    return replace(margins, clearance=jnp.min(clear, axis=(0, 1)), reasons=margins.reasons | hit)
 
 
 def select(score: Float[np.ndarray, "k"], reasons: UInt32[np.ndarray, "k"]) -> int:
@@ -145,10 +158,10 @@ def _deviation(positions: Float[Array, "m s 3 k"], paths: Float[Array, "p 3 k"])
     return jnp.max(safe_norm(points - before * (1.0 - weight) - after * weight, axis=1), axis=0)
 
 
-def _clearance_bound(
+def _clearance_bounds(
     samples: Float[Array, "m s 5 3 k"], splines: SplineBatch, pieces: int, world: World
-) -> Float[Array, "k"]:
-    """Least clearance anywhere on each trajectory, from below.
+) -> Float[Array, "m s k"]:
+    """Least clearance on each piece of each trajectory, from below; infinite on padding.
 
     Within half a piece h of its middle the position moves at most |v| h + a h^2 / 2, where a bounds the
     acceleration on the segment; distance to obstacles changes no faster than position (Lipschitz).
@@ -158,7 +171,7 @@ def _clearance_bound(
     half = 0.5 * splines.durations / pieces
     speed = safe_norm(samples[:, :, 1], axis=2)
     reach = speed * half[:, None] + (0.5 * _acceleration_bound(splines) * half**2)[:, None]
-    return jnp.min(jnp.where((splines.durations > 0.0)[:, None], free - reach, jnp.inf), axis=(0, 1))
+    return jnp.where((splines.durations > 0.0)[:, None], free - reach, jnp.inf)
 
 
 def _acceleration_bound(splines: SplineBatch) -> Float[Array, "m k"]:

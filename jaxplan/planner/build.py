@@ -109,8 +109,8 @@ def _validate(
     parts: Parts, spline: PiecewisePolynomial, since: float = 0.0, start: FlatState | None = None, wider: float = 0.0
 ) -> Verdict:
     """The last look at a plan, with the planner's room, vehicle and limits."""
-    least, config = parts.least_clearance + wider, parts.config.validator
-    return validate(spline, parts.room, parts.vehicle, least, config, since=since, start=start)
+    keep, config = parts.keep.wider(wider), parts.config.validator
+    return validate(spline, parts.room, parts.vehicle, keep, config, since=since, start=start)
 
 
 @in_float64

@@ -12,7 +12,7 @@ from jaxplan.arrays import AnyArray
 from jaxplan.batching import at_fixed_width, pick
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.planner.stations import Match, Routes, Stations, Trajectories, shortened
-from jaxplan.planner.validator import Room
+from jaxplan.planner.validator import Keep, Room
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.search.lattice import Lattices, Paths
 from jaxplan.search.meeting_point import ending_before
@@ -52,9 +52,11 @@ class Parts(NamedTuple):
         return float(self.vehicle.radius)
 
     @property
-    def least_clearance(self) -> float:
-        """What every trajectory keeps [m]: the vehicle's radius and the tracking margin."""
-        return self.radius + self.config.checks.tracking_margin
+    def keep(self) -> Keep:
+        """The distance that every trajectory keeps: the vehicle's radius and the tracking margin."""
+        checks = self.config.checks
+        least, most = self.radius + checks.tracking_margin, self.radius + checks.most_margin
+        return Keep(least, checks.slow, checks.margin_per_speed, most)
 
     def reject(self, state: FlatState, candidates: Candidates) -> UInt32[np.ndarray, "k"]:
         """Early reasons against each candidate."""

@@ -70,6 +70,27 @@ class ValidatorConfig:
         require_within("validator", self, 8, 1024, "pieces")
 
 
+class Keep(NamedTuple):
+    """What a plan keeps from obstacles and faces [m], more where it is fast."""
+
+    least: float
+    """[m]"""
+    slow: float = 0.0
+    """Speed [m/s] from which it is more."""
+    per_speed: float = 0.0
+    """How much more [m per m/s]."""
+    most: float = np.inf
+    """[m]"""
+
+    def at(self, speed: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """At these speeds [m/s]."""
+        return np.clip(self.least + self.per_speed * (speed - self.slow), self.least, self.most)
+
+    def wider(self, by: float) -> "Keep":
+        """So much [m] more at all speeds."""
+        return self._replace(least=self.least + by, most=self.most + by)
+
+
 class Verdict(NamedTuple):
     """What the last look has found."""
 
@@ -113,7 +134,7 @@ def validate(
     spline: PiecewisePolynomial,
     room: Room,
     vehicle: Vehicle,
-    least_clearance: float,
+    keep: Keep,
     config: ValidatorConfig,
     *,
     since: float = 0.0,
@@ -125,7 +146,7 @@ def validate(
         spline: the plan, without padding, in NumPy.
         room: where it is flown.
         vehicle: what flies it.
-        least_clearance: what it keeps from obstacles and faces [m].
+        keep: its distance from obstacles and faces.
         config: the other limits.
         since: what it has flown already [s of its own time].
         start: where it takes over, if that is to be looked at.
@@ -134,13 +155,13 @@ def validate(
     if not all(np.isfinite(part).all() for part in numbers) or not (np.asarray(spline.durations) > 0.0).all():
         return Verdict(Fault.NONFINITE, -np.inf, np.inf)
     pieces = _cut(spline, config.pieces, since)
-    clearance = _clearance(pieces, room)
-    if clearance < least_clearance <= room.free_distance(pieces.powers[:, 0]).min():
-        clearance = _clearance(_cut(spline, FINER * config.pieces, since), room)
+    clearance, spare, seen = _clearance(pieces, room, keep)
+    if spare < 0.0 <= seen:
+        clearance, spare, _ = _clearance(_cut(spline, FINER * config.pieces, since), room, keep)
     thrust, excess = _effort(pieces, vehicle)
     faults = _joints(spline, start)
     for bad, fault in (
-        (clearance < least_clearance - CLEARANCE_ROUNDING, Fault.CLEARANCE),
+        (spare < -CLEARANCE_ROUNDING, Fault.CLEARANCE),
         (thrust > 1.0 + ROUNDING, Fault.THRUST),
         (excess > config.most_excess, Fault.ROTORS),
         (np.linalg.norm(pieces.derivative(1), axis=1).max() > config.max_speed, Fault.SPEED),
@@ -184,11 +205,18 @@ def _taylor(count: int, size: int) -> Float[np.ndarray, "{count} {size} {size}"]
     return table
 
 
-def _clearance(pieces: _Pieces, room: Room) -> float:
-    """Lower bound of the free distance [m] everywhere on the pieces."""
+def _clearance(pieces: _Pieces, room: Room, keep: Keep) -> tuple[float, float, float]:
+    """Lower bound of the free distance [m] on all pieces, the same less what is kept, and the latter in the middles.
+
+    What is kept goes by the least speed that a piece may have: no piece is refused for a speed that it may not have.
+    """
     lengths = np.linalg.norm(pieces.powers[:, 1:], axis=2)
     moved = (lengths * pieces.half[:, None] ** np.arange(1, lengths.shape[1] + 1)).sum(axis=1)
-    return float((room.free_distance(pieces.powers[:, 0]) - moved).min())
+    orders = np.arange(2, lengths.shape[1] + 1)
+    changed = (orders * lengths[:, 1:] * pieces.half[:, None] ** (orders - 1)).sum(axis=1)
+    free = room.free_distance(pieces.powers[:, 0])
+    kept = keep.at(lengths[:, 0] - changed)
+    return float((free - moved).min()), float((free - moved - kept).min()), float((free - kept).min())
 
 
 def _effort(pieces: _Pieces, vehicle: Vehicle) -> tuple[float, float]:

@@ -8,7 +8,7 @@ import pytest
 
 import jaxplan
 from jaxplan.errors import InputError
-from jaxplan.planner.validator import Fault, Room, ValidatorConfig, validate
+from jaxplan.planner.validator import Fault, Keep, Room, ValidatorConfig, validate
 from jaxplan.precision import in_float64
 from jaxplan.records import replace
 from jaxplan.search.kernels.solids import solids_of
@@ -20,7 +20,7 @@ from jaxplan.world.load import load_world
 
 WAYPOINTS = np.array([[-4.3, -4.3, 1.0], [-4.2, -2.0, 1.1], [-4.0, 0.5, 1.0], [-4.1, 3.0, 1.2]])
 VEHICLE = load_vehicle()
-LEAST = float(VEHICLE.radius) + 0.1
+LEAST = Keep(float(VEHICLE.radius) + 0.1)
 
 
 def plan(stretch: float = 1.0, waypoints: np.ndarray = WAYPOINTS) -> PiecewisePolynomial:
@@ -55,6 +55,21 @@ def test_the_clearance_is_a_bound_and_a_tight_one(since: float) -> None:
     assert dense - 0.1 < bound <= dense + 1e-6
     finer = look(spline, since=since, config=ValidatorConfig(pieces=512)).clearance
     assert dense - 0.01 < finer <= dense + 1e-6
+
+
+def test_more_is_kept_where_it_is_faster() -> None:
+    """Refused as soon as more is kept than there is beside the fast part, though what is kept at rest is there."""
+    spline = plan()
+    times = np.linspace(0.0, float(spline.duration), 4000)
+    speed = np.linalg.norm(spline.evaluate(times, 1)[:, :3], axis=1)
+    free = host_free_distance(load_world("env1"), spline.evaluate(times)[:, :3])
+    for per_speed in (0.01, 0.03, 0.1, 0.3):
+        keep = Keep(0.2, slow=1.0, per_speed=per_speed, most=0.6)
+        spare = (free - keep.at(speed)).min()
+        found = validate(spline, room(), VEHICLE, keep, ValidatorConfig(pieces=256))
+        assert abs(spare) > 0.02, "the case is clear"
+        assert bool(found.faults & Fault.CLEARANCE) == (spare < 0.0)
+        assert keep.wider(0.1).at(speed) == pytest.approx(keep.at(speed) + 0.1)
 
 
 def test_the_time_out_of_the_rotors_range_is_that_of_their_speeds() -> None:

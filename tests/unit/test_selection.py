@@ -178,6 +178,8 @@ def test_configuration_is_checked():
     for wrong in (
         {"max_deviation": 0.0},
         {"tracking_margin": -1.0},
+        {"margin_per_speed": -1.0},
+        {"most_margin": 0.05},
         {"samples_per_segment": 1},
         {"instants": 1},
         {"least_probability": 1.5},
