@@ -13,8 +13,11 @@ from jaxplan.runner.tables import as_latex, as_markdown, number
 
 from .figures.reference_times import draw_reference_times
 
-DEFAULT = Path(__file__).parent.parent / "docs" / "results" / "table1-mfrl" / "results.csv"
+_STORED = Path(__file__).parent.parent / "docs" / "results"
+DEFAULT = _STORED / "table1-mfrl" / "results.csv"
 """Table I's episodes as they were flown last, where there is a checkout."""
+REFERENCES = _STORED / "reference-times" / "results.csv"
+"""Their reference times, likewise."""
 _KEY = ("world", "target", "speed", "departure")
 
 
@@ -29,7 +32,7 @@ def report(results: Results[Any]) -> Report:
     config = results.config
     path = compared_file(config.compare)
     closed = {} if path is None else closed_loop_times(path, config.planner, config.predictor)
-    rows = [{**row, "closed_loop_s": closed.get(_key(row))} for row in results.finished_rows()]
+    rows = [{**row, "closed_loop_s": closed.get(episode_key(row))} for row in results.finished_rows()]
     worlds = list(dict.fromkeys(row["world"] for row in rows))
     parts = {world: [row for row in rows if row["world"] == world] for world in worlds} | {"all": rows}
     name = f"{config.planner}, {config.predictor}"
@@ -62,9 +65,21 @@ def closed_loop_times(path: Path, planner: str, predictor: str) -> dict[tuple[st
     try:
         with path.open(encoding="utf-8", newline="") as stream:
             cell = [row for row in csv.DictReader(stream) if (row["planner"], row["predictor"]) == (planner, predictor)]
-        return {_key(row): float(row["time_to_intercept_s"]) for row in cell if row["time_to_intercept_s"]}
+        return {episode_key(row): float(row["time_to_intercept_s"]) for row in cell if row["time_to_intercept_s"]}
     except (OSError, KeyError, ValueError) as error:
         raise FileError(f"{path}: is not a results.csv of table1 ({type(error).__name__}: {error})") from error
+
+
+def stored_references(path: Path = REFERENCES) -> dict[tuple[str, ...], float]:
+    """Reference times [s] by episode, as ``reference-times`` has written them; none where there is no such file."""
+    if not path.is_file():
+        return {}
+    try:
+        with path.open(encoding="utf-8", newline="") as stream:
+            rows = list(csv.DictReader(stream))
+        return {episode_key(row): float(row["reference_s"]) for row in rows if row["reference_s"]}
+    except (OSError, KeyError, ValueError) as error:
+        raise FileError(f"{path}: is not a results.csv of reference-times ({type(error).__name__}: {error})") from error
 
 
 def ratios(rows: list[Row]) -> Float[np.ndarray, "n"]:
@@ -76,7 +91,8 @@ def _both(rows: list[Row]) -> list[Row]:
     return [row for row in rows if row["reference_s"] is not None and row["closed_loop_s"] is not None]
 
 
-def _key(row: Row) -> tuple[str, ...]:
+def episode_key(row: Row) -> tuple[str, ...]:
+    """World, target, speed and departure, as text."""
     return tuple(f"{float(row[name]):g}" if name in ("speed", "departure") else row[name] for name in _KEY)
 
 

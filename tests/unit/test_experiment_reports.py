@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from experiments import closed_loop, policy_comparison, scale_factor, table1, table2
+from experiments.reference_times_report import stored_references
 from experiments.table1_report import PAPER, by_cell, report
 from jaxplan import cli
 from jaxplan import config as intercept
-from jaxplan.errors import IncompleteError
+from jaxplan.errors import FileError, IncompleteError
 from jaxplan.runner.definition import Results
 from jaxplan.runner.registry import experiment_names, load_experiment
+from tolerances import tolerance
 
 
 def test_what_the_tables_compare_is_what_an_interception_can_choose() -> None:
@@ -42,6 +44,23 @@ def test_the_report_of_made_up_rows_says_what_is_below_the_paper() -> None:
     assert r"\begin{tabular}" in found.latex
     cold = report(dataclasses.replace(results, compiled=[True] * 8))
     assert "Every episode compiled something (46 s in all): nothing can be extrapolated." in cold.summary
+
+
+def test_times_are_compared_with_the_references_of_the_same_episodes(tmp_path: Path) -> None:
+    rows = table1.items(table1.Config(episodes=4, planners=("pretrained",), predictors=("ground-truth",)))
+    met = [{**item.values, "outcome": "intercepted", "time_to_intercept_s": 3.0} for item in rows]
+    names = ("world", "target", "speed", "departure", "reference_s")
+    lines = [",".join(names)]
+    for row, reference in zip(met, ("1.5", "2.0", "", "3.0"), strict=True):
+        lines.append(",".join([*(str(row[name]) for name in names[:-1]), reference]))
+    stored = tmp_path / "results.csv"
+    stored.write_text("\n".join(lines) + "\n")
+    (cell,) = by_cell(met)
+    np.testing.assert_allclose(cell.over_reference(stored_references(stored)), [2.0, 1.5, 1.0], **tolerance("exact"))
+    assert len(cell.over_reference(stored_references(tmp_path / "absent.csv"))) == 0
+    stored.write_text("nothing\n1\n")
+    with pytest.raises(FileError, match="is not a results.csv of reference-times"):
+        stored_references(stored)
 
 
 @pytest.mark.parametrize("name", experiment_names())
