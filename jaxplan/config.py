@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from jaxplan.errors import InputError
 from jaxplan.validation import checks_itself
@@ -20,6 +20,8 @@ ALLOCATIONS: tuple[Allocate, ...] = get_args(Allocate)
 
 _FASTEST_TARGET = 50.0
 """m/s; arbitrary, far above any vehicle here: a larger value is a mistake of units."""
+_LARGEST_PADDING = 10.0
+"""m; arbitrary: a larger value is a mistake of units."""
 _LATEST_DEPARTURE = 600.0
 """s; arbitrary: a larger value is a mistake of units."""
 
@@ -41,9 +43,16 @@ class InterceptConfig:
     target_model: str | None = None
     """A mixture for --predictor gmm (.npy, see jaxplan train gmm). Default: the world's own, or the generic one."""
 
-    planner: Planner = "mfrl"
+    vehicle: str = "mfrl"
+    """A preset (jaxplan vehicle lists them), or a file: TOML of the presets' form, or MJCF (.xml)."""
+
+    padding: float = 0.5
+    """Distance [m] that goals and paths keep from obstacles; it is more than the vehicle's radius."""
+
+    planner: Planner | None = None
     """Who allots the times between waypoints; no-policy: distance / 2.5 m/s; pretrained: a policy that imitates the
-    optimiser; mfrl: the same, reinforced, with the feasibility classifier in place of the rotor limits."""
+    optimiser; mfrl: the same, reinforced, with the feasibility classifier in place of the rotor limits. Default: mfrl
+    for the vehicle that it was made for; for others none of them, but the profile of speeds and the rotor limits."""
 
     meet: Meet = "pass"
     """How the target is met: pass flies through it and stops behind it; rest stops at it, no faster than the policy
@@ -86,15 +95,16 @@ class InterceptConfig:
             _require_name("target-model", self.target_model)
             if self.predictor != "gmm":
                 raise _refusal("target-model", self.target_model, "none unless the predictor is gmm")
-        _require_choice("planner", self.planner, PLANNERS)
+        _require_name("vehicle", self.vehicle)
+        _require_up_to("padding", self.padding, _LARGEST_PADDING, "m")
+        if self.planner is not None:
+            _require_choice("planner", self.planner, PLANNERS)
         _require_choice("meet", self.meet, MEETINGS)
         _require_choice("heading", self.heading, HEADINGS)
         if self.allocate is not None:
             _require_choice("allocate", self.allocate, ALLOCATIONS)
         if self.speed is not None:
-            _require_number("speed", self.speed, f"a number above 0 and at most {_FASTEST_TARGET:g} m/s")
-            if not 0.0 < self.speed <= _FASTEST_TARGET:
-                raise _refusal("speed", self.speed, f"a number above 0 and at most {_FASTEST_TARGET:g} m/s")
+            _require_up_to("speed", self.speed, _FASTEST_TARGET, "m/s")
         _require_number("departure", self.departure, "a time in seconds")
         if not 0.0 <= self.departure <= _LATEST_DEPARTURE:
             raise _refusal("departure", self.departure, f"a time from 0 to {_LATEST_DEPARTURE:g} s")
@@ -119,6 +129,13 @@ def _require_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
 
 def _require_number(name: str, value: object, want: str) -> None:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise _refusal(name, value, want)
+
+
+def _require_up_to(name: str, value: Any, most: float, unit: str) -> None:
+    want = f"a number above 0 and at most {most:g} {unit}"
+    _require_number(name, value, want)
+    if not 0.0 < value <= most:
         raise _refusal(name, value, want)
 
 

@@ -44,6 +44,7 @@ def episode_metrics(episode: Episode) -> dict[str, Any]:
         "switch_jump": _jumps(episode),
         "candidates": _candidates(episode),
         "real_time": None if episode.real_time is None else _real_time(episode.real_time),
+        "vehicle": scenario.vehicle.name,
         "seed": scenario.seed,
         "versions": installed_versions(),
     }

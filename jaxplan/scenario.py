@@ -28,6 +28,7 @@ from jaxplan.search.start_place import reachable_place
 from jaxplan.spline import FlatState, hover
 from jaxplan.tracking.result import SUCCESS, Thresholds
 from jaxplan.tracking.rollout import CONTROL_RATE, Plant, build_plant
+from jaxplan.vehicle.identity import identify
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.host_distance import host_free_distance
@@ -90,15 +91,17 @@ def build_scenario(config: InterceptConfig, *, exhaustive: bool = False, planner
         InputError, FileError: the configuration, a file, the target or the start cannot be used.
     """
     world = load_world(config.world)
-    vehicle = load_vehicle()
+    vehicle = load_vehicle(config.vehicle)
+    config = with_a_planner(config, vehicle)
     target = load_target(config.target, world=world.name, speed=config.speed)
     distance = _distance_in(world)
     planning = planner_config(config, exhaustive)
     _check_target(target, world, distance)
     start = _start(config, world, target, planning.padding)
     _check_start(start, world, vehicle, distance)
+    _check_padding(config.padding, vehicle)
     if planner is None:
-        policy, classifier = _policy(config.planner)
+        policy, classifier = _policy(config.planner or "no-policy")
         planner = build_planner(planning, world=world, vehicle=vehicle, policy=policy, classifier=classifier)
     else:
         planner = planner.in_world(world)
@@ -118,9 +121,22 @@ def build_scenario(config: InterceptConfig, *, exhaustive: bool = False, planner
     )
 
 
+def with_a_planner(config: InterceptConfig, vehicle: Vehicle) -> InterceptConfig:
+    """The configuration with a planner, where none was asked for: mfrl if it was made for this vehicle, or a profile.
+
+    A profile of speeds needs nothing that was learned; what the vehicle can follow is decided by its rotor limits.
+    """
+    if config.planner is not None:
+        return config
+    made_for = load_policy("mfrl").vehicle
+    if made_for is not None and made_for.fingerprint == identify(vehicle).fingerprint:
+        return dataclasses.replace(config, planner="mfrl")
+    return dataclasses.replace(config, planner="no-policy", allocate=config.allocate or "profile")
+
+
 def planner_config(config: InterceptConfig, exhaustive: bool = False) -> PlannerConfig:
     """What a configuration asks of the planner; one that stops at the target is no faster than its policy says."""
-    usual = PlannerConfig(exhaustive=exhaustive, meet=config.meet, heading=config.heading)
+    usual = PlannerConfig(exhaustive=exhaustive, meet=config.meet, heading=config.heading, padding=config.padding)
     alone = config.planner == "no-policy" or config.meet == "rest"
     usual = dataclasses.replace(usual, allocate=config.allocate or ("policy" if alone else "both"))
     return usual if config.meet == "pass" else dataclasses.replace(usual, arrival=ArrivalConfig())
@@ -168,6 +184,14 @@ def _check_target(target: Target, world: World, distance: DistanceFunction) -> N
         raise InputError(
             f"target {target.name!r}: at t = {times[first]:.2f} s it is at ({where}) m, outside world {world.name!r} "
             "or inside an obstacle; give a target that flies in this world"
+        )
+
+
+def _check_padding(padding: float, vehicle: Vehicle) -> None:
+    radius = np.asarray(vehicle.radius).item()
+    if not padding >= radius:
+        raise InputError(
+            f"--padding: have {padding:g} m, want at least the radius of vehicle {vehicle.name!r}, {radius:g} m"
         )
 
 

@@ -20,6 +20,7 @@ from jaxplan.cli.experiment import experiment
 from jaxplan.cli.intercept import intercept
 from jaxplan.cli.parameters import DEFAULT_PARAMETER
 from jaxplan.cli.train import train
+from jaxplan.cli.vehicle import vehicle
 from jaxplan.cli.world import world
 from jaxplan.errors import JaxplanError
 
@@ -37,7 +38,7 @@ app = App(
     default_parameter=DEFAULT_PARAMETER,
     suppress_keyboard_interrupt=False,
 )
-for command in (intercept, world, bench, train):
+for command in (intercept, world, vehicle, bench, train):
     app.command(command)
 app.command(experiment, help_flags=[], version_flags=[])
 

@@ -27,7 +27,7 @@ from jaxplan.selection import CheckConfig, Margins, check_clearance, check_fligh
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason, bit
 from jaxplan.vehicle.params import Vehicle
-from jaxplan.vehicle.reach import reach
+from jaxplan.vehicle.reach import reach, sideways_acceleration
 from jaxplan.world.obstacles import World
 
 LENGTHS = (7, MAX_WAYPOINTS)
@@ -177,7 +177,8 @@ def compile_stations(
         splines, margins = trajectories
         return Trajectories(splines, check_clearance(margins, splines, world, vehicle, checks))
 
-    by_policy, by_profile = (jax.jit(functools.partial(match, by)) for by in (policy, speed_profile_policy()))
+    profile = speed_profile_policy(sideways_acceleration(vehicle))
+    by_policy, by_profile = (jax.jit(functools.partial(match, by)) for by in (policy, profile))
     fine = dataclasses.replace(config.checks, samples_per_segment=FINER * config.checks.samples_per_segment)
     loosely, finely = (jax.jit(functools.partial(clear, checks=checks)) for checks in (config.checks, fine))
     return Stations(reject, route, by_policy, by_profile, solve, loosely, finely)

@@ -52,6 +52,39 @@ class Se3Gains:
         _check(self, "SE(3)")
 
 
+FAST_MOTORS = 0.02
+"""s: lag of the motors for which the default gains are."""
+
+
+def gains_for(motor_time_constant: float) -> dict[str, "IndiGains | Se3Gains"]:
+    """Gains for motors with this lag [s]: the defaults, all of them slower by the same factor where the lag is longer.
+
+    The factor is the root of the ratio of the lags, which held best in trial flights of the presets (decision 26).
+    """
+    factor = min(1.0, math.sqrt(FAST_MOTORS / motor_time_constant)) if motor_time_constant > 0.0 else 1.0
+    indi, se3 = IndiGains(), Se3Gains()
+
+    def slower(values: Diagonal, power: int) -> Diagonal:
+        return tuple(value * factor**power for value in values)
+
+    return {
+        "indi": dataclasses.replace(
+            indi,
+            position=slower(indi.position, 2),
+            velocity=slower(indi.velocity, 1),
+            attitude=slower(indi.attitude, 2),
+            rates=slower(indi.rates, 1),
+        ),
+        "se3": dataclasses.replace(
+            se3,
+            position=slower(se3.position, 2),
+            velocity=slower(se3.velocity, 1),
+            attitude=slower(se3.attitude, 2),
+            rates=slower(se3.rates, 1),
+        ),
+    }
+
+
 def _check(gains: IndiGains | Se3Gains, controller: str) -> None:
     for field in dataclasses.fields(gains):
         value = getattr(gains, field.name)

@@ -1,6 +1,7 @@
 """What a quadrotor is: its parameters, and what they must fulfil."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -39,6 +40,12 @@ _POSITIVE = (
 _LEAST_AUTHORITY = 1e-4
 """Least singular value of the mixer with rows of unit length; below, float32 would not tell the axes apart (arbitrary;
 an X layout has 1)."""
+_HEAVIEST = 50.0
+"""kg (arbitrary: ten times the heaviest vehicle that this library is for)."""
+_WIDEST = 3.0
+"""m (arbitrary)."""
+_STRONGEST = 20.0
+"""Times the weight (arbitrary: racing quadrotors have 10)."""
 _LEAST_HOVER = 0.01
 """Of the fastest rotor's speed at hover: less is a rotor that carries nothing (arbitrary)."""
 
@@ -106,6 +113,25 @@ class Vehicle:
     def astype(self, dtype: DTypeLike) -> "Vehicle":
         """The same vehicle with JAX arrays of ``dtype``, for arithmetic under strict type promotion."""
         return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
+
+
+def suspicions(values: Mapping[str, Any]) -> list[str]:
+    """What looks like numbers of other units than kg, m, rad/s, a line each; empty where nothing does."""
+    found = []
+    mass, thrust = float(values["mass"]), float(values["thrust_coefficient"]) * float(values["rotor_speed_max"]) ** 2
+    weight = mass * float(values["gravity"])
+    if mass > _HEAVIEST:
+        found.append(f"mass is {mass:g} kg, want less than {_HEAVIEST:g}; are these grams?")
+    if float(np.abs(values["rotor_positions"]).max()) > _WIDEST:
+        found.append(
+            f"rotor_positions are up to {np.abs(values['rotor_positions']).max():g} m; are these inches or mm?"
+        )
+    if not found and weight > 0.0 and 4.0 * thrust > _STRONGEST * weight:
+        found.append(
+            f"thrust_coefficient and rotor_speed_max make {4.0 * thrust / weight:.0f} times the weight, want at most "
+            f"{_STRONGEST:g}; are these rev/min instead of rad/s?"
+        )
+    return found
 
 
 def _require(vehicle: Vehicle, name: str, want: str, good: Callable[[np.ndarray], np.ndarray | np.bool_]) -> None:

@@ -1,6 +1,7 @@
 """How far a vehicle can get: what no flight exceeds, whatever it does with its attitude."""
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplan.arrays import AnyArray
@@ -20,3 +21,18 @@ def reach(vehicle: Vehicle, speed: Float[AnyArray, ""], times: Float[AnyArray, "
     rate = jnp.sqrt(most * drag) * jnp.maximum(times, 0.0)
     grown = 2.0 * jnp.sinh(0.5 * rate) ** 2 + speed * jnp.sqrt(drag / most) * jnp.sinh(rate)
     return jnp.log1p(grown) / drag
+
+
+SPARED = 0.26
+"""Share of the acceleration that there is beside hovering that a profile of speeds asks for (arbitrary)."""
+MOST_SIDEWAYS = 10.0
+"""Largest acceleration [m/s^2] that it asks of any vehicle: what it was tuned with (docs/decisions/0022)."""
+
+
+def sideways_acceleration(vehicle: Vehicle) -> float:
+    """What a profile of speeds may ask of a vehicle [m/s^2] (host), by what it has beside hovering.
+
+    A vehicle of thrust-to-weight ratio r can push g sqrt(r^2 - 1) sideways without sinking.
+    """
+    ratio = float(np.asarray(most_thrust(vehicle)) / np.asarray(vehicle.gravity))
+    return min(MOST_SIDEWAYS, SPARED * float(vehicle.gravity) * float(np.sqrt(ratio**2 - 1.0)))

@@ -3,18 +3,22 @@
 import dataclasses
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxplan.errors import FileError, InputError
-from jaxplan.vehicle.gains import IndiGains, Se3Gains
-from jaxplan.vehicle.params import SHAPES, Vehicle
+from jaxplan.vehicle.assumed import STANDING_IN, completed
+from jaxplan.vehicle.gains import IndiGains, Se3Gains, gains_for
+from jaxplan.vehicle.params import SHAPES, Vehicle, suspicions
 
 _PRESETS = Path(__file__).parent / "presets"
 _GAINS = {"indi": IndiGains, "se3": Se3Gains}
 """Optional tables of a vehicle file."""
+_FIELDS = {field.name for field in dataclasses.fields(Vehicle)} - {"name", *_GAINS}
+_MANDATORY = {"mass", "rotor_positions", "thrust_coefficient", "rotor_speed_max"}
+"""Without these nothing else can be assumed."""
 
 
 def list_presets() -> list[str]:
@@ -31,10 +35,25 @@ def preset(name: str) -> Vehicle:
     return vehicle_from_toml(_PRESETS / f"{name}.toml")
 
 
-def vehicle_from_toml(path: Path) -> Vehicle:
-    """The vehicle of a TOML file, which has all keys of the presets; the tables of gains may be left out.
+class VehicleFile(NamedTuple):
+    """A vehicle, and what its file has left to rules."""
 
-    Raises FileError for a file that cannot be read or is no quadrotor.
+    vehicle: Vehicle
+    assumed: dict[str, str]
+    """The keys that the file does not have, and the rule for each."""
+
+
+def vehicle_from_toml(path: Path) -> Vehicle:
+    """As ``read_vehicle``, the vehicle alone."""
+    return read_vehicle(path).vehicle
+
+
+def read_vehicle(path: Path) -> VehicleFile:
+    """The vehicle of a TOML file with keys as in the presets, and what was assumed (``jaxplan.vehicle.assumed``).
+
+    Gains that it does not give follow the lag of its motors (``gains_for``).
+
+    Raises FileError for a file that cannot be read, is no quadrotor, or has numbers of other units than these.
     """
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -45,15 +64,32 @@ def vehicle_from_toml(path: Path) -> Vehicle:
     except tomllib.TOMLDecodeError as error:
         raise FileError(f"The vehicle file {path} is not TOML ({error}): start from one of the presets.") from error
     gains: dict[str, Any] = {key: _gains(path, key, table.pop(key)) for key in _GAINS if key in table}
-    wanted = {field.name for field in dataclasses.fields(Vehicle)} - {"name", *_GAINS}
-    for key in sorted(wanted ^ set(table)):
-        kind = "lacks the key" if key in wanted else "has the unknown key"
-        raise FileError(f"The vehicle file {path} {kind} {key!r}: the keys are {', '.join(sorted(wanted))}.")
+    for key in set(table) & (_FIELDS | set(STANDING_IN)):
+        _number(path, key, table[key])
+    table, assumed = completed(table)
+    _check_keys(path, set(table))
     values: dict[str, Any] = {key: _number(path, key, value) for key, value in table.items()}
+    for suspicion in suspicions(values):
+        raise FileError(f"The vehicle file {path} cannot be used: {suspicion}")
+    if not gains:
+        gains = gains_for(float(values["motor_time_constant"]))
+        assumed["indi, se3"] = "the gains of mfrl, slowed down by the lag of the motors"
     try:
-        return Vehicle(name=path.stem, **(values | gains))
+        return VehicleFile(Vehicle(name=path.stem, **(values | gains)), assumed)
     except InputError as error:
         raise FileError(f"The vehicle file {path} cannot be used: {error}") from error
+
+
+def _check_keys(path: Path, have: set[str]) -> None:
+    """Names all keys that are missing or not known, at once."""
+    missing, unknown = sorted(_MANDATORY - have), sorted(have - _FIELDS)
+    parts = [f"lacks {', '.join(map(repr, missing))}"] * bool(missing)
+    parts += [f"has the unknown {', '.join(map(repr, unknown))}"] * bool(unknown)
+    if parts:
+        raise FileError(
+            f"The vehicle file {path} {' and '.join(parts)}: want at least mass, rotor_positions or arm, and two of "
+            "thrust_coefficient, rotor_speed_max, thrust_to_weight; start from one of the presets."
+        )
 
 
 def _gains(path: Path, key: str, table: Any) -> IndiGains | Se3Gains:

@@ -35,7 +35,7 @@ def test_default_is_mfrl_and_values_stay_on_the_host() -> None:
     assert isinstance(vehicle.mass, float)
     assert vehicle.rotor_positions.dtype == np.float64
     assert vehicle.astype(jnp.float32).rotor_positions.dtype == jnp.float32
-    assert list_presets() == ["flightgoggles", "mfrl"]
+    assert list_presets() == ["cf21", "flightgoggles", "mfrl", "racer5", "x500"]
 
 
 @pytest.mark.parametrize("name", ["mfrl", "flightgoggles"])
@@ -105,8 +105,8 @@ def test_missing_file_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("mass = 0.771", "", "lacks the key 'mass'"),
-        ("mass = 0.771", "mass = 0.771\ncolour = 3", "unknown key 'colour'"),
+        ("mass = 0.771", "", "lacks 'mass'"),
+        ("mass = 0.771", "mass = 0.771\ncolour = 3", "unknown 'colour'"),
         ("mass = 0.771", 'mass = "heavy"', "'mass'"),
         ("mass = 0.771", "mass = true", "'mass'"),
         ("mass = 0.771", "mass = -1.0", "mass"),
