@@ -56,12 +56,17 @@ FAST_MOTORS = 0.02
 """s: lag of the motors for which the default gains are."""
 
 
+def slowness(motor_time_constant: float) -> float:
+    """How fast a vehicle whose motors have this lag [s] may be, as a share of one with fast motors."""
+    return min(1.0, math.sqrt(FAST_MOTORS / motor_time_constant)) if motor_time_constant > 0.0 else 1.0
+
+
 def gains_for(motor_time_constant: float) -> dict[str, "IndiGains | Se3Gains"]:
     """Gains for motors with this lag [s]: the defaults, all of them slower by the same factor where the lag is longer.
 
     The factor is the root of the ratio of the lags, which held best in trial flights of the presets (decision 26).
     """
-    factor = min(1.0, math.sqrt(FAST_MOTORS / motor_time_constant)) if motor_time_constant > 0.0 else 1.0
+    factor = slowness(motor_time_constant)
     indi, se3 = IndiGains(), Se3Gains()
 
     def slower(values: Diagonal, power: int) -> Diagonal:

@@ -5,6 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplan.arrays import AnyArray
+from jaxplan.vehicle.gains import slowness
 from jaxplan.vehicle.limits import most_thrust
 from jaxplan.vehicle.params import Vehicle
 
@@ -32,7 +33,9 @@ MOST_SIDEWAYS = 10.0
 def sideways_acceleration(vehicle: Vehicle) -> float:
     """What a profile of speeds may ask of a vehicle [m/s^2] (host), by what it has beside hovering.
 
-    A vehicle of thrust-to-weight ratio r can push g sqrt(r^2 - 1) sideways without sinking.
+    A vehicle of thrust-to-weight ratio r can push g sqrt(r^2 - 1) sideways without sinking. Slow motors make a vehicle
+    slow: gains and plans take longer by the root of the lag (``gains_for``), accelerations are less by the lag.
     """
     ratio = float(np.asarray(most_thrust(vehicle)) / np.asarray(vehicle.gravity))
-    return min(MOST_SIDEWAYS, SPARED * float(vehicle.gravity) * float(np.sqrt(ratio**2 - 1.0)))
+    most = min(MOST_SIDEWAYS, SPARED * float(vehicle.gravity) * float(np.sqrt(ratio**2 - 1.0)))
+    return most * slowness(float(vehicle.motor_time_constant)) ** 2
