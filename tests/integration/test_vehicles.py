@@ -1,6 +1,7 @@
 """Vehicles that nothing was learned for: what is planned for them is flown, in closed loop and out of it."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +11,11 @@ from jaxplan import interception
 from jaxplan.config import InterceptConfig
 from jaxplan.errors import InputError
 from jaxplan.scenario import build_scenario, planner_config, with_a_planner
+from jaxplan.spline import hover
+from jaxplan.tracking.trial import HELD, USUAL_RADIUS
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.reach import sideways_acceleration
+from jaxplan.world.load import load_world
 
 FLOWN = {"cf21": (1.0, 0.3), "racer5": (3.0, 0.5), "x500": (1.0, 0.6)}
 """Speed of the target [m/s] and padding [m]."""
@@ -58,3 +62,31 @@ def test_every_preset_meets_a_target(name: str) -> None:
 
 def _knowing(config: InterceptConfig, target: str) -> object:
     return build_scenario(dataclasses.replace(config, target=target)).predictor
+
+
+SPREAD = {
+    "40 g": (0.037, 1.73, 0.043),
+    "90 g": (0.087, 6.5, 0.05),
+    "0.5 kg": (0.48, 3.8, 0.038),
+    "4 kg": (4.0, 4.4, 0.047),
+}
+"""Mass [kg], thrust-to-weight ratio, lag of the motors [s]."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SPREAD)
+def test_what_is_called_usable_is_tracked(name: str, tmp_path: Path) -> None:
+    mass, ratio, lag = SPREAD[name]
+    arm = 0.113 * (mass / 0.771) ** (1 / 3)
+    file = tmp_path / "mine.toml"
+    file.write_text(f"mass = {mass}\narm = {arm}\nthrust_to_weight = {ratio}\nmotor_time_constant = {lag}\n")
+    vehicle, world, rng = load_vehicle(file), load_world("env1"), np.random.default_rng(5)
+    chosen = with_a_planner(InterceptConfig(padding=max(0.5, float(vehicle.radius) + 0.15)), vehicle)
+    config = planner_config(chosen, exhaustive=True)
+    planner = jaxplan.build_planner(config, world=world, vehicle=vehicle, policy=jaxplan.constant_speed_policy())
+    goals, times = rng.uniform(world.bounds[0] + 0.6, world.bounds[1] - 0.6, (200, 3)), rng.uniform(1.0, 6.0, 200)
+    plans = planner.plan_batch(hover(world.start), jaxplan.candidates_from(goals[0], goals, times, np.zeros(200)))
+    usable = [plans.spline(index) for index in np.flatnonzero(plans.reasons == 0)]
+    assert len(usable) > 40
+    errors = np.asarray(jaxplan.track(usable, vehicle=vehicle).max_position_error)
+    assert (errors < HELD * min(1.0, float(vehicle.radius) / USUAL_RADIUS)).mean() >= 0.9
