@@ -75,9 +75,9 @@ class HeldPlans:
         else:
             self._held.append(table)
 
-    def at(self, time: float) -> Setpoint:
-        """The setpoint at ``time`` [s]; no plan that is offered later changes what was said."""
-        self._answered = max(self._answered, time)
+    def at(self, time: float, promised: float = np.inf) -> Setpoint:
+        """The setpoint at ``time`` [s]; no plan that is offered later changes what was said up to ``promised`` [s]."""
+        self._answered = max(self._answered, min(time, promised))
         rows = self._row(time).reshape(6, 3)
         return Setpoint(time, rows[:5], rows[5])
 

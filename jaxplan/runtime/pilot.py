@@ -4,12 +4,13 @@ It holds the certified plans itself. A planner that is silent, dead or starting 
 flown: the newest plan, to rest at its end, and the hover there.
 """
 
+import math
 import threading
 import time
 from collections import deque
 from collections.abc import Mapping
 from types import TracebackType
-from typing import Annotated, Any
+from typing import Annotated, Any, no_type_check
 
 import numpy as np
 from jaxtyping import Float
@@ -39,6 +40,8 @@ from jaxplan.status import PlanStatus
 from jaxplan.validation import as_numbers
 from jaxplan.world.update import Corners
 
+PROMISED = 0.1
+"""Seconds ahead of the clock up to which a setpoint that was given stays what it is."""
 _LOOKS = 0.05
 """Seconds between two looks of the watchdog (arbitrary)."""
 _UNASKED = 0.2
@@ -89,25 +92,36 @@ class Runtime:
         return time.monotonic() - self._epoch
 
     def setpoint(self, now: float | None = None) -> Setpoint:
-        """What the vehicle is to do at ``now`` [s], by default this instant. Never waits for the planner."""
-        instant = self.now() if now is None else now
-        self._asked = instant
+        """What the vehicle is to do at ``now`` [s], by default this instant. Never waits for the planner.
+
+        No plan changes what was said, of an instant that was at most ``PROMISED`` ahead.
+
+        Raises:
+            InputError: ``now`` is not finite.
+        """
+        clock = self.now()
+        instant = clock if now is None else now
+        if not math.isfinite(instant):
+            raise InputError(f"setpoint: now is {now}, want a finite time [s]")
+        self._asked = clock
         with self._lock:
             if self._planner.channel.plans.written > self._next_plan:
                 self._take()
-            return self._held.at(instant)
+            return self._held.at(instant, clock + PROMISED)
 
     def preview(self, times: Float[np.ndarray, "n"]) -> FlatState:
         """What will be demanded at ``times`` [s] unless better plans come, for controllers that look ahead."""
         return self._held.preview(times)
 
+    @no_type_check
     def observe(self, time: float, position: Annotated[ArrayLike, "3"]) -> None:
         """The target was seen at ``time`` [s] at ``position`` [m, world]. Raises ``InputError`` for other shapes."""
-        message = pack_sample(float(time), _three("observe: the position", position))
+        message = pack_sample(_instant("observe: the time", time), _three("observe: the position", position))
         with self._lock:
             self._samples.append(message)
             self._planner.channel.samples.write(message)
 
+    @no_type_check
     def odometry(
         self,
         time: float,
@@ -119,9 +133,10 @@ class Runtime:
 
         Raises ``InputError`` for what is not three finite numbers each.
         """
-        measured = usual_measured(Measured(position, velocity, acceleration))  # type: ignore[arg-type]
-        self._planner.channel.odometry.write(pack_odometry(Odometry(float(time), measured)))
+        measured = usual_measured(Measured(position, velocity, acceleration))
+        self._planner.channel.odometry.write(pack_odometry(Odometry(_instant("odometry: the time", time), measured)))
 
+    @no_type_check
     def update_world(
         self,
         *,
@@ -144,7 +159,7 @@ class Runtime:
             if corners is not None
         }
         if remove_box is not None:
-            change["remove_box"] = int(remove_box)
+            change["remove_box"] = int(_instant("update_world: remove_box", remove_box))
         if len(change) != 1:
             raise InputError(f"update_world: have {len(change)} changes, want one at a time")
         with self._lock:
@@ -181,6 +196,8 @@ class Runtime:
             phase = self._over[0]
         elif not planner.ready:
             phase = Phase.RESTARTING if self._restarts else Phase.STARTING
+        elif phase is Phase.FAILED:  # it has said so, and the watchdog has not looked yet
+            phase = Phase.RESTARTING
         elif age > self.config.silent_after:
             phase = Phase.SILENT
         cycle = report.get("cycle")
@@ -231,20 +248,27 @@ class Runtime:
 
     def _watch(self) -> None:
         """Look after the planner's process until all is over."""
-        while self._over is None:
-            time.sleep(_LOOKS)
-            for number, report in self._planner.reports_since(self._next_report):
-                self._next_report = number + 1
-                if report.get("cycle") is not None:
-                    self._cycles.append(cycle_from_json(report["cycle"]))
-            if self.now() - self._asked > _UNASKED:
-                with self._lock:
-                    self._take()
-            if self._planner.ready:
-                self._in_a_row = 0
-            trouble = self._planner.trouble(self.config)
-            if trouble and self._over is None:
-                self._recover(trouble)
+        try:
+            while self._over is None:
+                time.sleep(_LOOKS)
+                self._look()
+        except Exception as error:
+            self._over = Phase.FAILED, f"no planner can be kept: {type(error).__name__}: {error}", ResourceError
+
+    def _look(self) -> None:
+        """Hear what the planner says, and see whether it lives."""
+        for number, report in self._planner.reports_since(self._next_report):
+            self._next_report = number + 1
+            if report.get("cycle") is not None:
+                self._cycles.append(cycle_from_json(report["cycle"]))
+        if self.now() - self._asked > _UNASKED:
+            with self._lock:
+                self._take()
+        if self._planner.ready:
+            self._in_a_row = 0
+        trouble = self._planner.trouble(self.config)
+        if trouble and self._over is None:
+            self._recover(trouble)
 
     def _recover(self, trouble: str) -> None:
         """Start another process, unless that does not help."""
@@ -267,6 +291,14 @@ class Runtime:
         newest = self._held.newest
         task = Task(self._build, self.config, newest.plan, self._held.answer, tuple(self._changes))
         return PlannerProcess(task, self._epoch, self._samples)
+
+
+def _instant(name: str, value: Any) -> float:
+    """One number, which may be anything but none."""
+    array = as_numbers(name, value)
+    if array.shape != ():
+        raise InputError(f"{name} is {value!r}, want one number")
+    return float(array)
 
 
 def _three(name: str, values: Any) -> Float[np.ndarray, "3"]:

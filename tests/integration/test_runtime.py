@@ -224,6 +224,13 @@ def test_what_cannot_be_sent_or_read_is_refused():
             runtime.observe(0.0, np.array([1.0, 2.0]))
         with pytest.raises(InputError, match="three finite numbers"):
             runtime.odometry(0.0, START, np.array([np.nan, 0.0, 0.0]))
+        for bad in (np.nan, np.inf):
+            with pytest.raises(InputError, match="want a finite time"):
+                runtime.setpoint(bad)
+        with pytest.raises(InputError, match="the time"):
+            runtime.observe("noon", START)
+        with pytest.raises(InputError, match="remove_box"):
+            runtime.update_world(remove_box="the large one")
         with pytest.raises(InputError, match="one at a time"):
             runtime.update_world()
         with pytest.raises(InputError, match="three finite numbers"):

@@ -108,6 +108,15 @@ def test_only_what_fits_is_taken():
     assert held.at(1.55).velocity.any() == np.False_
 
 
+def test_what_was_asked_of_far_ahead_is_no_promise():
+    held = HeldPlans(hold(HOVER), 10)
+    held.at(1e6, promised=0.9)
+    assert not offer(held, 1, 0, on_from(HOVER))
+    assert held.answer == (1, 1)
+    held.at(1e6)
+    assert offer(held, 2, 1, on_from(HOVER, start_time=9.0)) == {"late": 1}
+
+
 def test_what_was_said_stays_said_and_nothing_jumps():
     """However plans come: the position is continuous over all instants that were asked for."""
     rng = np.random.default_rng(0)
