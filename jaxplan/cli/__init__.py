@@ -17,7 +17,7 @@ from cyclopts import App, CycloptsError
 
 from jaxplan.cli.bench import bench
 from jaxplan.cli.experiment import experiment
-from jaxplan.cli.intercept import intercept
+from jaxplan.cli.intercept import from_saved, intercept
 from jaxplan.cli.parameters import DEFAULT_PARAMETER
 from jaxplan.cli.train import train
 from jaxplan.cli.vehicle import vehicle
@@ -38,7 +38,8 @@ app = App(
     default_parameter=DEFAULT_PARAMETER,
     suppress_keyboard_interrupt=False,
 )
-for command in (intercept, world, vehicle, bench, train):
+app.command(intercept, config=from_saved)
+for command in (world, vehicle, bench, train):
     app.command(command)
 app.command(experiment, help_flags=[], version_flags=[])
 

@@ -2,14 +2,17 @@
 
 import contextlib
 import dataclasses
+import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import Parameter
+import cyclopts.config
+from cyclopts import App, ArgumentCollection, Parameter
 
 from jaxplan.config import InterceptConfig
+from jaxplan.errors import FileError, InputError
 from jaxplan.versions import require_supported_jax
 
 if TYPE_CHECKING:
@@ -22,6 +25,7 @@ EXIT_NOT_INTERCEPTED = 13
 def intercept(
     config: Annotated[InterceptConfig | None, Parameter(name="*")] = None,
     *,
+    repeat: Annotated[Path | None, Parameter(name="--config")] = None,
     require_success: bool = False,
     realtime: bool = False,
     debug: bool = False,
@@ -30,6 +34,8 @@ def intercept(
 
     Parameters
     ----------
+    repeat
+        A config.json that an earlier run wrote: its options, but for the folder, where none are given.
     require_success
         Return exit code 13 unless the target was intercepted.
     realtime
@@ -55,6 +61,31 @@ def intercept(
     print(summary(metrics))
     print(f"results in {config.out}: {', '.join(sorted(path.name for path in Path(config.out).iterdir()))}")
     return EXIT_NOT_INTERCEPTED if require_success and not episode.success else 0
+
+
+def from_saved(app: App, commands: tuple[str, ...], arguments: ArgumentCollection) -> None:
+    """Give options that are not on the command line the values of the file behind ``--config``, if there is one."""
+    saved = next((argument.tokens for argument in arguments if argument.name == "--config"), [])
+    if saved:
+        values = _read_saved(Path(saved[0].value))
+        as_text = {name.replace("_", "-"): value for name, value in values.items()}
+        cyclopts.config.Dict({commands[-1]: as_text})(app, commands, arguments)
+
+
+def _read_saved(path: Path) -> dict[str, Any]:
+    """The options in a ``config.json`` that have a value; ``FileError``, ``InputError`` where it is none."""
+    try:
+        saved = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise FileError(f"{path}: cannot be read as a config.json ({error}); give one that a run wrote") from error
+    known = [field.name for field in dataclasses.fields(InterceptConfig)]
+    if not isinstance(saved, dict) or not set(saved) <= set(known):
+        raise InputError(f"{path}: is not of jaxplan intercept, want some of {', '.join(known)}; choose another file")
+    try:
+        InterceptConfig(**saved)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    return {name: value for name, value in saved.items() if value is not None and name != "out"}
 
 
 def write_results(folder: "OutputFolder", config: InterceptConfig, episode: "Episode", metrics: dict[str, Any]) -> None:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -117,6 +118,56 @@ def test_no_interception_is_a_valid_run(tmp_path: Path, pretend: Callable[..., N
     assert sorted(path.name for path in tmp_path.iterdir()) == FILES
 
 
+def test_a_saved_configuration_repeats_a_run(tmp_path: Path, pretend: Callable[..., None]) -> None:
+    seen: list[InterceptConfig] = []
+
+    def run(config: InterceptConfig, progress: Any) -> Any:
+        seen.append(config)
+        return flight(config)
+
+    pretend(run)
+    first = ["--world", "env2", "--vehicle", "cf21", "--start", "-1", "-2.5", "1", "--speed", "2", "--meet", "rest"]
+    assert cli.run(["intercept", *first, "--out", str(tmp_path / "a")]) == 0
+    saved = ["intercept", "--config", str(tmp_path / "a" / "config.json"), "--out", str(tmp_path / "b")]
+    assert cli.run(saved) == 0
+    assert cli.run([*saved, "--speed", "3", "--start", "0", "0", "1"]) == 0
+    assert [config.out for config in seen] == [str(tmp_path / "a"), *2 * [str(tmp_path / "b")]]
+    assert replace(seen[1], out=seen[0].out) == seen[0]
+    assert replace(seen[2], speed=2.0, start=seen[1].start) == seen[1]
+    assert (seen[2].speed, seen[2].start) == (3.0, (0.0, 0.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "said"),
+    [
+        ('{"experiment": "table1"}', 10, "is not of jaxplan intercept"),
+        ("[1]", 10, "is not of jaxplan intercept"),
+        ('{"speed": "fast"}', 10, "--speed: have 'fast', want"),
+        ('{"start": [1, 2]}', 10, "--start"),
+        ("{", 11, "cannot be read as a config.json"),
+        (100_000 * "[", 11, "cannot be read as a config.json"),
+        (None, 11, "cannot be read as a config.json"),
+    ],
+    ids=lambda value: str(value)[:20],
+)
+def test_saved_configurations_that_are_none(
+    tmp_path: Path,
+    pretend: Callable[..., None],
+    capsys: pytest.CaptureFixture[str],
+    text: str | None,
+    code: int,
+    said: str,
+) -> None:
+    pretend(lambda config, progress: pytest.fail("must not be flown"))
+    path = tmp_path / "config.json"
+    if text is not None:
+        path.write_text(text)
+    assert cli.run(["intercept", "--config", str(path), "--out", str(tmp_path / "out")]) == code
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+
+
 ERRORS = [
     (InputError("start: have\n(9, 9, 9), want inside"), 10, "start: have (9, 9, 9), want inside"),
     (FileError("no such file"), 11, "no such file"),
@@ -198,7 +249,7 @@ def test_a_bad_jax_is_refused(
 def test_help_names_every_option(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.run(["intercept", "--help"]) == 0
     text = capsys.readouterr().out
-    options = "world target predictor target-model planner speed departure start seed out require-success debug"
+    options = "world target predictor target-model planner speed departure start seed out config require-success debug"
     assert [name for name in options.split() if f"--{name}" not in text] == []
     assert "--empty" not in text
     assert "--no-" not in text.replace("no-policy", "")
