@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,9 +17,10 @@ from jaxplan.policy.checkpoint import WEIGHTS
 from jaxplan.prediction.predictors import build_predictor
 from jaxplan.prediction.protocol import PredictionConfig, StepPredictor
 from jaxplan.prediction.target_model import shipped_model
-from jaxplan.scenario import Scenario, build_scenario
+from jaxplan.scenario import Scenario, build_scenario, check_padding
 from jaxplan.tracking.result import SUCCESS
 from jaxplan.tracking.rollout import Plant, build_plant
+from jaxplan.vehicle.identity import identify
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import ENVIRONMENTS
 
@@ -27,7 +28,8 @@ from .guidance import LAWS, Guidance
 from .optimiser import optimiser_policy
 
 LEARNED = tuple(name for name in intercept.PLANNERS if name != "no-policy")
-PLANNERS = (*intercept.PLANNERS, "optimiser", *LAWS)
+PLANNERS = (*intercept.PLANNERS, "profile", "optimiser", *LAWS)
+"""Who allots the times; ``profile`` is what a vehicle of one's own is flown with, which nothing was learned for."""
 PREDICTORS = ("none", "ground-truth", "noisy-0.01", "noisy-0.05", "gmm", "constant-velocity")
 """``noisy-S`` has the standard deviation S [m] after one step; any S will do."""
 TIME_WEIGHT = 7.5e4
@@ -35,6 +37,18 @@ TIME_WEIGHT = 7.5e4
 random sequences."""
 WARM_UP_PREDICTORS = ("noisy-0.05", "none")
 """Predictors whose episodes compile nearly all that any episode calls: many candidates and few, met and approached."""
+
+
+VEHICLE, PADDING = intercept.InterceptConfig.vehicle, intercept.InterceptConfig.padding
+
+
+class Defender(NamedTuple):
+    """What a planner is built for, in whatever world."""
+
+    planner: str
+    meet: str = "pass"
+    vehicle: str = VEHICLE
+    padding: float = PADDING
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -51,11 +65,20 @@ class EpisodeConfig:
     seed: int
     meet: str = "pass"
     """How the target is met, as ``InterceptConfig`` says; "rest" is the paper's, with the heading along the path."""
+    vehicle: str = VEHICLE
+    """A preset, or a file."""
+    padding: float = PADDING
+    """Distance [m] that goals and paths keep from obstacles."""
 
 
 def available_planners() -> tuple[str, ...]:
     """Every planner whose weights are here."""
     return tuple(name for name in PLANNERS if name not in LEARNED or (WEIGHTS / f"{name}.npz").is_file())
+
+
+def compared_planners() -> tuple[str, ...]:
+    """Those of them that Table I compares."""
+    return tuple(name for name in available_planners() if name != "profile")
 
 
 def check_names(worlds: tuple[str, ...], planners: tuple[str, ...], predictors: tuple[str, ...]) -> None:
@@ -72,12 +95,25 @@ def check_names(worlds: tuple[str, ...], planners: tuple[str, ...], predictors: 
             raise InputError(f"--{kind}: have {wrong[0]!r}, want some of {', '.join(known)}")
 
 
-def warm_up(world: str, planner: str, meet: str = "pass") -> None:
+def check_vehicle(vehicle: str, padding: float, planners: tuple[str, ...]) -> None:
+    """Raise for a vehicle that cannot be read, or that some of the planners cannot fly."""
+    intercept.InterceptConfig(vehicle=vehicle, padding=padding)
+    own = load_vehicle(vehicle)
+    check_padding(padding, own)
+    if identify(own).fingerprint != identify(load_vehicle()).fingerprint:
+        learned = [name for name in planners if name in LEARNED]
+        if learned:
+            raise InputError(
+                f"--planners: have {learned[0]!r}, which learned to fly {VEHICLE!r} and not {own.name!r}; choose among "
+                f"{', '.join(name for name in PLANNERS if name not in LEARNED)}"
+            )
+
+
+def warm_up(world: str, defender: Defender) -> None:
     """Load a world and a planner, and fly the episodes that compile most of what theirs call."""
-    for predictor in WARM_UP_PREDICTORS[:1] if planner in LAWS else WARM_UP_PREDICTORS:
-        names = {"world": world, "planner": planner, "predictor": predictor, "target": stored_targets(world)[0]}
-        names["meet"] = meet
-        fly(EpisodeConfig(**names, speed=3.0, departure=0.5, seed=0))
+    for predictor in WARM_UP_PREDICTORS[:1] if defender.planner in LAWS else WARM_UP_PREDICTORS:
+        names = {"world": world, "predictor": predictor, "target": stored_targets(world)[0]}
+        fly(EpisodeConfig(**names, **defender._asdict(), speed=3.0, departure=0.5, seed=0))
 
 
 def fly(episode: EpisodeConfig) -> Episode:
@@ -115,7 +151,8 @@ def _is_singular(episode: Episode) -> bool:
 def scenario_of(episode: EpisodeConfig) -> Scenario:
     """What an episode flies, for those that change some of it."""
     target = load_target(episode.target, world=episode.world, speed=episode.speed)
-    scenario = _scenario(episode.world, episode.planner, episode.meet)
+    defender = Defender(episode.planner, episode.meet, episode.vehicle, episode.padding)
+    scenario = _scenario(episode.world, defender)
     predictor = scenario.predictor if episode.planner in LAWS else _predictor(scenario, episode, target)
     return dataclasses.replace(
         scenario, target=target, departure=episode.departure, seed=episode.seed, predictor=predictor
@@ -136,35 +173,44 @@ def _sigma(predictor: str) -> float | None:
     return float(found.group(1)) if found else None
 
 
-def _scenario(world: str, planner: str, meet: str) -> Scenario:
+def _scenario(world: str, defender: Defender) -> Scenario:
     """The planner in this world, with what it has compiled in others."""
-    known = _scenarios(planner, meet)
+    known = _scenarios(defender)
     if world not in known:
         other = next(iter(known.values()), None)
-        known[world] = _load(world, planner, meet, None if other is None else other.planner)
+        known[world] = _load(world, defender, None if other is None else other.planner)
     return known[world]
 
 
 @functools.lru_cache(maxsize=1)
-def _scenarios(planner: str, meet: str) -> dict[str, Scenario]:
+def _scenarios(defender: Defender) -> dict[str, Scenario]:
     """By world. Only the newest planner's are kept: its programs are large, and episodes come sorted by planner."""
     return {}
 
 
-def _load(world: str, planner: str, meet: str, elsewhere: Planner | None) -> Scenario:
+def _load(world: str, defender: Defender, elsewhere: Planner | None) -> Scenario:
+    planner = defender.planner
     known: intercept.Planner = next((name for name in intercept.PLANNERS if name == planner), "no-policy")
-    way: intercept.Meet = next(name for name in intercept.MEETINGS if name == meet)
-    heading: intercept.Heading = "hold" if meet == "pass" else "path"
-    config = intercept.InterceptConfig(world=world, planner=known, predictor="noisy", meet=way, heading=heading)
+    way: intercept.Meet = next(name for name in intercept.MEETINGS if name == defender.meet)
+    config = intercept.InterceptConfig(
+        world=world,
+        planner=known,
+        predictor="noisy",
+        meet=way,
+        heading="hold" if way == "pass" else "path",
+        allocate="profile" if planner == "profile" else None,
+        vehicle=defender.vehicle,
+        padding=defender.padding,
+    )
     base = build_scenario(config, planner=elsewhere)
     if planner == "optimiser" and elsewhere is None:
         policy, settings = optimiser_policy(TIME_WEIGHT), base.planner.config
         own = build_planner(settings, world=base.world, vehicle=base.vehicle, policy=policy)
         base = dataclasses.replace(base, planner=own)
-    return dataclasses.replace(base, plant=_plant(), judged_by_heading=True)
+    return dataclasses.replace(base, plant=_plant(defender.vehicle), judged_by_heading=True)
 
 
-@functools.cache
-def _plant() -> Plant:
+@functools.lru_cache(maxsize=1)
+def _plant(vehicle: str) -> Plant:
     """The simulated vehicle, compiled once for all worlds."""
-    return build_plant(load_vehicle())
+    return build_plant(load_vehicle(vehicle))

@@ -19,6 +19,7 @@ from jaxtyping import Float
 from jaxplan import interception
 from jaxplan.errors import InputError
 from jaxplan.interception import Episode
+from jaxplan.planner import Planner
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
 from jaxplan.runner.statistics import wilson
 from jaxplan.runner.tables import as_latex, as_markdown, number
@@ -54,11 +55,18 @@ class Config:
     predictor: str = "constant-velocity"
     """What predicts the target from what is seen; ground-truth sees no sensor."""
 
+    vehicle: str = closed_loop.VEHICLE
+    """Who flies: a preset, or a file. What was learned flies the default one only; profile flies any."""
+
+    padding: float = closed_loop.PADDING
+    """Distance [m] that goals and paths keep from obstacles."""
+
     episodes: int = 30
     """Of each fault, Table I's."""
 
     def __post_init__(self) -> None:
         closed_loop.check_names(self.worlds, (self.planner,), (self.predictor,))
+        closed_loop.check_vehicle(self.vehicle, self.padding, (self.planner,))
         wrong = [name for name in self.faults if name not in FAULTS]
         if wrong or not self.faults:
             raise InputError(f"--faults: have {' '.join(wrong) or 'none'}, want some of {', '.join(FAULTS)}")
@@ -73,7 +81,8 @@ def artefacts(config: Config) -> list[Path]:
 
 def items(config: Config) -> list[Item]:
     """All episodes; those with a box have a planner of their own."""
-    chosen = table1.chosen(table1.Config(worlds=config.worlds, episodes=config.episodes))
+    flown = {"worlds": config.worlds, "episodes": config.episodes, "planners": (config.planner,)}
+    chosen = table1.chosen(table1.Config(**flown, vehicle=config.vehicle, padding=config.padding))
     found = []
     for fault in sorted(config.faults, key=lambda name: (name in ROOM, FAULTS.index(name))):
         for episode in chosen:
@@ -87,7 +96,8 @@ def items(config: Config) -> list[Item]:
 def prepare(config: Config, group: str) -> None:
     """Compile what the episodes call."""
     for world in config.worlds:
-        closed_loop.warm_up(world, config.planner)
+        defender = closed_loop.Defender(config.planner, vehicle=config.vehicle, padding=config.padding)
+        closed_loop.warm_up(world, defender)
 
 
 def evaluate(config: Config, item: Item) -> Row:
@@ -101,16 +111,17 @@ def evaluate(config: Config, item: Item) -> Row:
     return {"fault": fault, **values, **_found(flown, trouble)}
 
 
-_PLANNERS: dict[str, Scenario] = {}
+_PLANNERS: dict[Planner, Planner] = {}
+"""With a spare box, by the planner without."""
 
 
 def _with_room(base: Scenario) -> Scenario:
-    """The scenario with a planner that knows a spare box, built once a world."""
-    if base.world.name not in _PLANNERS:
-        own = with_a_spare_box(base)
-        own.planner.warmup(own.start)
-        _PLANNERS[base.world.name] = own
-    return dataclasses.replace(base, planner=_PLANNERS[base.world.name].planner)
+    """The scenario with a planner that knows a spare box, built once for each planner in each world."""
+    if base.planner not in _PLANNERS:
+        own = with_a_spare_box(base).planner
+        own.warmup(base.start)
+        _PLANNERS[base.planner] = own
+    return dataclasses.replace(base, planner=_PLANNERS[base.planner])
 
 
 def _found(episode: Episode, trouble: Trouble) -> Row:

@@ -21,6 +21,7 @@ from jaxplan.spline import FlatState
 from jaxplan.tracking.disturbance import Disturbance
 from jaxplan.tracking.plant import PlantState
 from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, Plant
+from jaxplan.vehicle.reach import sideways_acceleration
 from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.obstacles import World
 from jaxplan.world.update import update_world, with_spare_boxes
@@ -44,8 +45,9 @@ GUST, LACK, PUSH = 10.0, 0.25, 0.35
 """m/s at the peak of a gust of 1 s; share of one rotor's thrust that is missing; m that the vehicle is moved."""
 AFTER = (0.4, 1.2)
 """s after the departure, between which the single events happen."""
-BRAKING, REACTION = 9.0, 0.25
-"""m/s^2 and s: a box appears beyond a stop with these, which the vehicle certainly can (arbitrary)."""
+BRAKING, REACTION = 0.9, 0.25
+"""Share of the acceleration that plans ask for, and s: a box appears beyond a stop with these, which the vehicle
+certainly can (arbitrary)."""
 HALF = (0.15, 0.4)
 """m; half sides of boxes."""
 
@@ -163,7 +165,8 @@ class Trouble:
         ready = int(np.searchsorted(times, now + REACTION).clip(max=len(times) - 1))
         way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(states.pos, axis=0), axis=1))])
         half = float(self._rng.uniform(*HALF))
-        needed = way[ready] + np.linalg.norm(states.vel[ready]) ** 2 / (2.0 * BRAKING) + half * np.sqrt(3.0) + 0.3
+        braking = BRAKING * sideways_acceleration(self._scenario.vehicle)
+        needed = way[ready] + np.linalg.norm(states.vel[ready]) ** 2 / (2.0 * braking) + half * np.sqrt(3.0) + 0.3
         if way[-1] <= needed:
             return
         middle = states.pos[int(np.argmax(way > needed))]

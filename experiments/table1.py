@@ -21,7 +21,7 @@ from jaxplan.runner.definition import Experiment, Item, Row
 from jaxplan.world.load import ENVIRONMENTS
 
 from . import closed_loop, table1_report
-from .closed_loop import PREDICTORS, EpisodeConfig, available_planners
+from .closed_loop import PREDICTORS, EpisodeConfig, compared_planners
 from .guidance import LAWS
 
 SPEEDS = tuple(float(speed) for speed in np.round(np.linspace(0.5, 5.5, 10), 4))
@@ -35,8 +35,9 @@ DEPARTURES = tuple(float(time) for time in np.round(np.linspace(0.5, 2.5, 10), 4
 class Config:
     """Which episodes are flown, by whom."""
 
-    planners: tuple[str, ...] = dataclasses.field(default_factory=available_planners)
-    """Who allots the times: no-policy, pretrained, mfrl, optimiser; or pursuit, navigation, which plan nothing."""
+    planners: tuple[str, ...] = dataclasses.field(default_factory=compared_planners)
+    """Who allots the times: no-policy, pretrained, mfrl, profile, optimiser; or pursuit, navigation, which plan
+    nothing."""
 
     predictors: tuple[str, ...] = PREDICTORS
     """What is known of the target's future; noisy-S has the standard deviation S [m] after one step."""
@@ -59,11 +60,18 @@ class Config:
     meet: Meet = "pass"
     """How targets are met: pass flies through them; rest stops at them, as in the paper."""
 
+    vehicle: str = closed_loop.VEHICLE
+    """Who flies: a preset, or a file. What was learned flies the default one only; profile flies any."""
+
+    padding: float = closed_loop.PADDING
+    """Distance [m] that goals and paths keep from obstacles."""
+
     seed: int = 0
     """Added to every episode's index to seed its noise."""
 
     def __post_init__(self) -> None:
         closed_loop.check_names(self.worlds, self.planners, self.predictors)
+        closed_loop.check_vehicle(self.vehicle, self.padding, self.planners)
         for name in ("speeds", "departures"):
             values = getattr(self, name)
             if not values or not all(0.0 < value <= 50.0 for value in values) or len(set(values)) != len(values):
@@ -95,6 +103,8 @@ def chosen(config: Config) -> list[EpisodeConfig]:
                 departure=departures[departure],
                 seed=config.seed + index,
                 meet=config.meet,
+                vehicle=config.vehicle,
+                padding=config.padding,
             )
         )
     return episodes
@@ -140,7 +150,7 @@ def items(config: Config) -> list[Item]:
 def prepare(config: Config, group: str) -> None:
     """Compile what the episodes of one planner call, in every world."""
     for world in dict.fromkeys(episode.world for episode in chosen(config)):
-        closed_loop.warm_up(world, group, config.meet)
+        closed_loop.warm_up(world, closed_loop.Defender(group, config.meet, config.vehicle, config.padding))
 
 
 def evaluate(config: Config, item: Item) -> Row:
@@ -158,7 +168,7 @@ def artefacts(config: Config) -> list[Path]:
     return [path for path in files if path.is_file()]
 
 
-SMOKE = tuple(planner for planner in available_planners() if planner != "optimiser")
+SMOKE = tuple(planner for planner in compared_planners() if planner != "optimiser")
 """The optimiser takes longest to compile."""
 
 EXPERIMENT = Experiment(

@@ -11,6 +11,7 @@ from jaxplan.runner.definition import Report, Results, Row
 from jaxplan.runner.statistics import wilson
 from jaxplan.runner.tables import as_latex, as_markdown, duration
 
+from .closed_loop import PADDING, VEHICLE
 from .figures.success import Bar, Line, draw_failures, draw_success, draw_success_by_speed
 from .reference_times_report import episode_key, stored_references
 
@@ -69,7 +70,8 @@ def report(results: Results[Any]) -> Report:
     """Tables, pictures and times."""
     rows = results.finished_rows()
     cells = by_cell(rows)
-    header, lines = _main_table(cells, stored_references())
+    usual = (results.config.vehicle, results.config.padding) == (VEHICLE, PADDING)
+    header, lines = _main_table(cells, stored_references() if usual else {})
     times = _times(results)
     count = max(len(cell.rows) for cell in cells)
     text = [

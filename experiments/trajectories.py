@@ -42,6 +42,12 @@ class Config:
     predictor: Predictor = "gmm"
     """How the target's future is predicted."""
 
+    vehicle: str = InterceptConfig.vehicle
+    """A preset, or a file."""
+
+    padding: float = InterceptConfig.padding
+    """Distance [m] that goals and paths keep from obstacles."""
+
     speed: float = 2.5
     """The target's maximum speed [m/s]."""
 
@@ -61,7 +67,7 @@ class Config:
 
     def intercept(self) -> InterceptConfig:
         """The same as the options of an interception, checked."""
-        names = ("world", "target", "planner", "predictor", "speed", "departure", "seed")
+        names = {field.name for field in dataclasses.fields(self)} - {"moments"}
         return InterceptConfig(**{name: getattr(self, name) for name in names})
 
 

@@ -99,7 +99,7 @@ def build_scenario(config: InterceptConfig, *, exhaustive: bool = False, planner
     _check_target(target, world, distance)
     start = _start(config, world, target, planning.padding)
     _check_start(start, world, vehicle, distance)
-    _check_padding(config.padding, vehicle)
+    check_padding(config.padding, vehicle)
     if planner is None:
         policy, classifier = _policy(config.planner or "no-policy")
         planner = build_planner(planning, world=world, vehicle=vehicle, policy=policy, classifier=classifier)
@@ -189,7 +189,8 @@ def _check_target(target: Target, world: World, distance: DistanceFunction) -> N
         )
 
 
-def _check_padding(padding: float, vehicle: Vehicle) -> None:
+def check_padding(padding: float, vehicle: Vehicle) -> None:
+    """Raise ``InputError`` for paths [m] closer to obstacles than the vehicle is wide."""
     radius = np.asarray(vehicle.radius).item()
     if not padding >= radius:
         raise InputError(

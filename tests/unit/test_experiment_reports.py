@@ -8,12 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments import closed_loop, policy_comparison, scale_factor, table1, table2
+from experiments import closed_loop, faults, policy_comparison, scale_factor, table1, table2, trajectories
 from experiments.reference_times_report import stored_references
 from experiments.table1_report import PAPER, by_cell, report
 from jaxplan import cli
 from jaxplan import config as intercept
-from jaxplan.errors import FileError, IncompleteError
+from jaxplan.errors import FileError, IncompleteError, InputError
 from jaxplan.runner.definition import Results
 from jaxplan.runner.registry import experiment_names, load_experiment
 from tolerances import tolerance
@@ -22,8 +22,31 @@ from tolerances import tolerance
 def test_what_the_tables_compare_is_what_an_interception_can_choose() -> None:
     """noisy-S stands for ``noisy`` with its own deviation; beyond the command's planners there are the baselines."""
     assert {re.sub(r"-[\d.]+$", "", name) for name in closed_loop.PREDICTORS} <= set(intercept.PREDICTORS)
-    assert (*intercept.PLANNERS, "optimiser", "pursuit", "navigation") == closed_loop.PLANNERS
+    assert (*intercept.PLANNERS, "profile", "optimiser", "pursuit", "navigation") == closed_loop.PLANNERS
+    assert set(closed_loop.PLANNERS) - set(closed_loop.compared_planners()) == {"profile"}
     assert closed_loop.LEARNED == ("pretrained", "mfrl")
+
+
+def test_a_vehicle_of_ones_own_flies_the_experiments(tmp_path: Path) -> None:
+    """What was learned for another one is refused before anything is flown; there are no references for it."""
+    mine = tmp_path / "mine.toml"
+    mine.write_text("mass = 0.8\narm = 0.12\nthrust_to_weight = 4.0\n")
+    for kind, names in ((table1.Config, {"planners": ("profile",)}), (faults.Config, {"planner": "profile"})):
+        config = kind(episodes=3, vehicle=str(mine), padding=0.4, **names)
+        for item in (table1 if kind is table1.Config else faults).items(config):
+            assert (item.values["vehicle"], item.values["padding"]) == (str(mine), 0.4)
+    trajectories.Config(vehicle=str(mine), padding=0.4)
+    with pytest.raises(InputError, match="'mfrl', which learned to fly 'mfrl' and not 'mine'"):
+        table1.Config(vehicle=str(mine), planners=("no-policy", "mfrl"))
+    with pytest.raises(InputError, match="at least the radius"):
+        table1.Config(padding=0.1)
+    with pytest.raises(FileError, match="absent"):
+        faults.Config(vehicle=str(tmp_path / "absent.toml"))
+    config = table1.Config(episodes=1, planners=("profile",), predictors=("ground-truth",), vehicle=str(mine))
+    (item,) = table1.items(config)
+    row = {**item.values, "outcome": "intercepted", "time_to_intercept_s": 2.0}
+    found = report(Results(config, [item], [row], [2.0], [False], {}, {}))
+    assert "| 2.00 | - | - |" in found.markdown
 
 
 def test_the_report_of_made_up_rows_says_what_is_below_the_paper() -> None:
