@@ -4,6 +4,7 @@ A PLY file without faces is a point cloud.
 """
 
 import itertools
+from array import array
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from jaxtyping import Float, Int
 from jaxplan.errors import FileError
 from jaxplan.world.formats.ply import open_ply, ply_points, ply_surface
 from jaxplan.world.formats.point_clouds import check_count, point_world
-from jaxplan.world.formats.streams import ByteStream, Numbers, lines, remaining
+from jaxplan.world.formats.streams import ByteStream, lines, remaining
 from jaxplan.world.mesh import MAX_FACES, mesh_world
 from jaxplan.world.obstacles import World
 
@@ -59,7 +60,7 @@ def read_stl(path: Path, stream: ByteStream) -> tuple[Float[np.ndarray, "v 3"], 
 
 def _ascii_corners(path: Path, stream: ByteStream) -> Float[np.ndarray, "v 3"]:
     """The corners of the facets of an ASCII STL file, three for each [m]."""
-    corners, ended, number = Numbers(float), False, 0
+    corners, ended, number = array("d"), False, 0
     for number, line in enumerate(lines(path, stream), 1):
         words = line.split()
         ended = words[:1] == [b"endsolid"] if words else ended
@@ -73,12 +74,12 @@ def _ascii_corners(path: Path, stream: ByteStream) -> Float[np.ndarray, "v 3"]:
                 raise _too_many(path)
     if not ended or len(corners) % 9:
         raise FileError(f"{path}: line {number} is no end of an STL file; it is truncated or damaged, export it again")
-    return corners.together().reshape(-1, 3)
+    return np.array(corners).reshape(-1, 3)
 
 
 def read_obj(path: Path, stream: ByteStream) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
     """Vertices [m] and faces of the ``v`` and ``f`` lines; polygons become fans, everything else is ignored."""
-    vertices, faces = Numbers(float), Numbers(int)
+    vertices, faces = array("d"), array("q")
     for number, line in enumerate(lines(path, stream), 1):
         words = line.split(b"#")[0].split()
         try:
@@ -94,7 +95,7 @@ def read_obj(path: Path, stream: ByteStream) -> tuple[Float[np.ndarray, "v 3"], 
             raise FileError(f"{path}: line {number} cannot be read ({error}); export the OBJ file again") from error
         if len(vertices) > 3 * MAX_VERTICES or len(faces) > 3 * MAX_FACES:
             raise _too_many(path)
-    return checked_surface(path, vertices.together().reshape(-1, 3), faces.together().reshape(-1, 3))
+    return checked_surface(path, np.array(vertices).reshape(-1, 3), np.array(faces, np.int64).reshape(-1, 3))
 
 
 def _too_many(path: Path) -> FileError:

@@ -1,8 +1,7 @@
 """Files read a piece at a time, so that one that turns out to be damaged has not filled the memory."""
 
 import os
-from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -33,31 +32,6 @@ class ByteStream(Protocol):
 
     def tell(self) -> int:
         """The place in bytes."""
-
-
-class Numbers:
-    """Numbers that come a few at a time, 64 bits each, in blocks: one array that grows is moved again and again."""
-
-    def __init__(self, kind: type[float] | type[int]) -> None:
-        """``kind`` of number, as in ``extend``."""
-        self._typecode = "d" if kind is float else "q"
-        self._dtype = np.dtype(np.float64 if kind is float else np.int64)
-        self._full: list[np.ndarray] = []
-        self._last: array = array(self._typecode)
-
-    def __len__(self) -> int:
-        return sum(map(len, self._full)) + len(self._last)
-
-    def extend(self, numbers: Iterable[float]) -> None:
-        """Add some to the end."""
-        self._last.extend(numbers)
-        if len(self._last) * self._last.itemsize >= _BLOCK:
-            self._full.append(np.frombuffer(self._last, self._dtype))
-            self._last = array(self._typecode)
-
-    def together(self) -> np.ndarray:
-        """All of them, one array."""
-        return np.concatenate([*self._full, np.frombuffer(self._last, self._dtype)])
 
 
 def file_size(path: Path) -> int:
