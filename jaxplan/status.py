@@ -39,7 +39,8 @@ class Reason(enum.IntFlag):
     OUT_OF_REACH = 1 << 11
     """Even straight on with all rotors at full thrust the goal is reached too late."""
     PREFIX_ONLY = 1 << 12
-    """The path has more points than fit; its trajectory can approach the goal but not meet the target."""
+    """The path has more points than fit, or the search ended before the goal: its trajectory can approach the goal but
+    not meet the target."""
     TARGET_LOST = 1 << 13
     """The target has been silent for too long."""
     OUTRANKED = 1 << 14
@@ -61,6 +62,8 @@ class Note(enum.IntFlag):
     """Too little was seen of the target, or nothing like it in training: constant velocity instead."""
     LESS_PADDING = 1 << 3
     """No path keeps the padding from all obstacles; this one comes closer."""
+    SEARCH_ENDED = 1 << 4
+    """The search ended by its budget: this is the best path known, which need not be the shortest."""
 
 
 class PlanStatus(enum.IntEnum):

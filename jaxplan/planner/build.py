@@ -65,6 +65,7 @@ def build_planner(
         resolutions=tuple(config.resolution * factor for factor in factors),
         distance_fractions=SearchConfig().distance_fractions[: len(factors) - 1],
         padding=config.padding,
+        fallback_budget=config.fallback_budget,
         least_padding=least if config.narrow_passages else None,
     )
     lattices = build_lattices(world, options)

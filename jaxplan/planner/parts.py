@@ -78,11 +78,16 @@ class Parts(NamedTuple):
 
         return at_fixed_width(mark, np.arange(len(goals)), GOALS_AT_ONCE)
 
-    def search(self, state: FlatState, goals: Float[np.ndarray, "k 3"], target: Float[np.ndarray, "3"]) -> Paths:
-        """Taut paths from the state to where the goals are met; the distance to the target [m] chooses the lattice."""
+    def search(
+        self, state: FlatState, goals: Float[np.ndarray, "k 3"], target: Float[np.ndarray, "3"], alternatives: int = 1
+    ) -> Paths:
+        """Taut paths from the state to where the goals are met; the distance to the target [m] chooses the lattice.
+
+        Row ``k + i K`` is the route i to goal k of K.
+        """
         start = np.asarray(state.pos)
         distance = float(np.linalg.norm(target - start))
-        paths = find_routes(self.lattices, self.world, start, goals, distance, capacity=self.config.path_capacity)
+        paths = find_routes(self.lattices, self.world, start, goals, distance, self.config.path_capacity, alternatives)
         return ending_before(paths, self.config.meet_radius)
 
     def route(self, paths: Paths, member: Int[np.ndarray, "k"], passing: Bool[np.ndarray, "k"]) -> Routes:

@@ -15,7 +15,7 @@ from jaxplan.planner.timer import Timer
 from jaxplan.planner.validator import ValidatorConfig, Verdict
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.records import record
-from jaxplan.search.lattice import METHODS
+from jaxplan.search.lattice import METHODS, MOST_ALTERNATIVES
 from jaxplan.selection import CheckConfig, Margins
 from jaxplan.selection import select as select_best
 from jaxplan.spline import FlatState, PiecewisePolynomial
@@ -38,6 +38,11 @@ class PlannerConfig:
     """Side of the finest cells [m] by which paths are searched; coarser where a room is too large."""
     narrow_passages: bool = True
     """Where no path keeps the padding, take one that keeps the vehicle's radius and the tracking margin (roadmap)."""
+    fallback_budget: int = 300_000
+    """Cells settled at most in a replan for goals that no road leads to, about 0.15 s (``SearchConfig``)."""
+    alternatives: int = 1
+    """Up to so many clearly different routes to each goal, of which the one is taken that is flown soonest (roadmap);
+    decision 27 has what that takes and gives."""
     meet: Meet = "pass"
     """How a target is met: "pass" flies through the goal to a stop point behind it, "rest" stops at it (paper)."""
     meet_radius: float = 0.0
@@ -69,6 +74,8 @@ class PlannerConfig:
         require_positive("planner", self, "max_yaw_rate", "resolution")
         require_at_least("planner", self, 0, "padding", "policy_speed", "meet_radius")
         require_within("planner", self, 1, 65536, "width")
+        require_at_least("planner", self, 1, "fallback_budget")
+        require_within("planner", self, 1, MOST_ALTERNATIVES if self.search == "roadmap" else 1, "alternatives")
         require_within("planner", self, 0, 1, "profile_probability")
         require_one_of("planner", self, METHODS, "search")
         require_one_of("planner", self, MEETINGS, "meet")

@@ -124,28 +124,41 @@ def outrank(table: Table, rows: Rows) -> Table:
 
 
 def search(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
-    """Find a path to each row's goal."""
-    paths = parts.search(state, table.goals(rows), np.asarray(table.candidates.target))
-    return table.against(rows, paths.reasons)._replace(paths=paths, route=_numbered(table.route, rows, 0))
+    """Find the paths to each row's goal; the first is the shortest one."""
+    target = np.asarray(table.candidates.target)
+    paths = parts.search(state, table.goals(rows), target, parts.config.alternatives)
+    found = paths.reasons[: len(rows)]
+    return table.against(rows, found)._replace(paths=paths, route=_numbered(table.route, rows, 0))
 
 
 def knots(parts: Parts, table: Table, rows: Rows) -> Table:
     """Place waypoints along the paths of all ``rows`` that were searched."""
     assert table.paths is not None, "rows are searched first"
-    passing = np.full(len(rows), parts.config.meet == "pass")
-    routes = parts.route(table.paths, table.route[rows], passing)
-    return table.against(rows, np.asarray(routes.reasons))._replace(routes=routes)
+    every = np.arange(len(table.paths.count))
+    routes = parts.route(table.paths, every, np.full(len(every), parts.config.meet == "pass"))
+    return table.against(rows, np.asarray(routes.reasons)[: len(rows)])._replace(routes=routes)
 
 
 def bound(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
-    """Ask the first time allocation for the least time to each goal: what takes longer than T_goal cannot be met."""
+    """Ask the first time allocation for the least time to each goal: what takes longer than T_goal cannot be met.
+
+    Of several routes to a goal the one of the least time is kept.
+    """
+    assert table.paths is not None, "rows are searched first"
     assert table.routes is not None, "waypoints come first"
     alpha, least = table.alpha.copy(), parts.config.arrival.least_alpha
     first, *_ = parts.allocations(state)
-    durations = parts.durations_at(first, state, table.routes, np.full(len(rows), least))
-    alpha[rows] = least * table.arrival_times(rows) / time_to(durations, np.asarray(table.routes.meet))
+    count = len(table.paths.count)
+    durations = parts.durations_at(first, state, table.routes, np.full(count, least))
+    times = np.asarray(time_to(durations, np.asarray(table.routes.meet))).copy()
+    times[len(rows) :][table.paths.reasons[len(rows) :] != 0] = np.inf
+    soonest = np.argmin(times.reshape(-1, len(rows)), axis=0) * len(rows) + np.arange(len(rows))
+    alpha[rows] = least * table.arrival_times(rows) / times[soonest]
     late = ~(alpha[rows] >= least * (1.0 - parts.config.arrival.tolerance))
-    return table.against(rows, np.where(late, Reason.ALPHA_LT_1, 0).astype(np.uint32))._replace(alpha=alpha)
+    route = table.route.copy()
+    route[rows] = soonest
+    reasons = np.where(late, Reason.ALPHA_LT_1, 0).astype(np.uint32)
+    return table.against(rows, reasons)._replace(alpha=alpha, route=route)
 
 
 def match(parts: Parts, allocation: Allocation, state: FlatState, table: Table, rows: Rows) -> Matched:

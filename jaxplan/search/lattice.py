@@ -26,6 +26,8 @@ from jaxplan.world.occupancy import (
 )
 
 METHODS = ("roadmap", "multi-resolution")
+MOST_ALTERNATIVES = 3
+"""Routes to one goal (arbitrary)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +45,10 @@ class SearchConfig:
     """Distance that paths keep from obstacles [m]."""
     least_padding: float | None = None
     """Distance [m] that a roadmap's paths keep where no path keeps the padding; None: there are no such paths."""
+    fallback_budget: int | None = None
+    """Cells of the finest lattice settled at most for goals that no road leads to (a million take half a second). Where
+    that ends the search, goals get the best path known, with ``Note.SEARCH_ENDED``; if it does not reach them, its
+    reason is ``PREFIX_ONLY``, never ``NO_PATH``. None: as many cells as there are."""
     node_budget: int = 2_000_000
     """Cells settled at most per search of ``find_paths`` (arbitrary: about half a second)."""
     first_budget: int = 6_000
@@ -64,7 +70,8 @@ class SearchConfig:
                 f"search: have least_padding {self.least_padding:g} m, want at least 0 and at most the padding, "
                 f"{self.padding:g} m"
             )
-        require_at_least("search", self, 1, "node_budget", "first_budget", "last_budget")
+        budgets = ("node_budget", "first_budget", "last_budget", "fallback_budget")
+        require_at_least("search", self, 1, *budgets[: 3 + (self.fallback_budget is not None)])
 
 
 @record
@@ -98,9 +105,10 @@ class Paths:
     count: Int[np.ndarray, "k"]
     """Points before the repetition, at least 2; 0 where there is no path."""
     reasons: UInt32[np.ndarray, "k"]
-    """``Reason.NO_PATH``, or ``Reason.PREFIX_ONLY`` where the path is longer than the capacity."""
+    """``Reason.NO_PATH``, or ``Reason.PREFIX_ONLY`` where the path is longer than the capacity or the search ended
+    before the goal."""
     notes: UInt32[np.ndarray, "k"]
-    """``Note.START_PADDED``, ``Note.FINER_LATTICE`` and ``Note.LESS_PADDING``."""
+    """``Note.START_PADDED``, ``FINER_LATTICE``, ``LESS_PADDING`` and ``SEARCH_ENDED``."""
     resolution: Float[np.ndarray, "k"]
     """Cell size of the lattice that found the path, the finest one's for roads [m]; NaN where there is none."""
     length: Float[np.ndarray, "k"]

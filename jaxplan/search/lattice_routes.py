@@ -18,6 +18,7 @@ from jaxplan.search.kernels.graph import NO_ENTRY
 from jaxplan.search.kernels.taut import write_straight, write_taut
 from jaxplan.search.lattice import Lattices, choose_level, grid_frame, level_graph
 from jaxplan.search.request import Request, mark_finer
+from jaxplan.status import Note, Reason
 from jaxplan.world.obstacles import World
 
 
@@ -60,12 +61,21 @@ def _find_straight(lattices: Lattices, request: Request) -> None:
     request.open[paths.count > 0] = False
 
 
-def search_lattice(lattices: Lattices, level: int, budget: int, request: Request) -> int:
-    """Search one lattice for the open goals and write taut paths; returns the settled cells."""
+def search_lattice(lattices: Lattices, level: int, budget: int, request: Request, anytime: bool = False) -> int:
+    """Search one lattice for the open goals and write taut paths; returns the settled cells.
+
+    If ``anytime``, goals get the best path known when the budget ends, with a note, or a reason where it ends before
+    them.
+    """
     graph, grid, paths = level_graph(lattices, level), lattices.levels[0].grid, request.paths
-    found = astar.search(graph, request.head[-1], request.goals, request.open, budget)
-    write_taut(graph, found, grid.occupied, request.head, request.goals, paths.points, paths.count, paths.length)
-    reached = found.entry != NO_ENTRY
+    found = astar.search(graph, request.head[-1], request.goals, request.open, budget, anytime)
+    reached, ends = found.entry != NO_ENTRY, request.goals.copy()
+    short = np.flatnonzero(reached & np.isinf(found.cost))
+    ends[short] = grid.origin + graph.frame.h * (np.stack(np.unravel_index(found.entry[short], grid.shape), -1) + 0.5)
+    write_taut(graph, found, grid.occupied, request.head, ends, paths.points, paths.count, paths.length)
+    paths.reasons[short] |= np.uint32(Reason.PREFIX_ONLY)
+    paths.length[short] += np.linalg.norm(request.goals[short] - ends[short], axis=1)
+    paths.notes[reached & ~found.proven] |= np.uint32(Note.SEARCH_ENDED)
     paths.resolution[reached] = graph.frame.h
     request.open[reached] = False
     return found.expanded

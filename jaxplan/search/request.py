@@ -1,5 +1,6 @@
 """The opening and the end of every search: unusable goals sorted out, the way out of padding, reasons (host, NumPy)."""
 
+import dataclasses
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -7,6 +8,7 @@ from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from jaxplan.errors import InputError
+from jaxplan.records import replace
 from jaxplan.search.kernels.sight import clearances
 from jaxplan.search.lattice import Lattices, Paths
 from jaxplan.status import Note, Reason
@@ -65,6 +67,13 @@ def open_request(
     return Request(head=head, goals=ends, start_clearance=to_obstacle, open=usable, paths=paths)
 
 
+def with_more_rows(paths: Paths, rows: int) -> Paths:
+    """The same paths, at least one, and behind them ``rows`` without a path."""
+    none = _no_paths(paths.points[0, 0], rows, paths.points.shape[1])
+    names = [field.name for field in dataclasses.fields(paths) if field.name != "expanded"]
+    return replace(paths, **{name: np.concatenate([getattr(paths, name), getattr(none, name)]) for name in names})
+
+
 def mark_finer(lattices: Lattices, first: int, paths: Paths) -> None:
     """Note which paths needed a finer lattice than the ``first`` one."""
     paths.notes[paths.resolution < lattices.levels[first].grid.resolution] |= np.uint32(Note.FINER_LATTICE)
@@ -75,6 +84,7 @@ def finish(paths: Paths, expanded: int) -> Paths:
     capacity = paths.points.shape[1]
     reasons = np.where(paths.count == 0, np.uint32(Reason.NO_PATH), np.uint32(0))
     reasons |= np.where(paths.count > capacity, np.uint32(Reason.PREFIX_ONLY), np.uint32(0))
+    reasons |= paths.reasons & np.uint32(Reason.PREFIX_ONLY)
     return Paths(
         points=paths.points,
         count=np.minimum(paths.count, capacity),

@@ -5,24 +5,28 @@
 2. Where the start or a goal sees roads only from above, as in a niche, those may be entered at any angle.
 3. Where no road leads, the roadmap closer to obstacles is asked, if there is one, and then the finest lattice, as long
    as it takes: what is connected is found. Such paths may come closer to obstacles than the padding, and then say so.
+   With a budget of cells it is found, or the way to where the search ended, and that is said, too.
 
 With the method "multi-resolution" lattices are searched instead (``jaxplan.search.lattice_routes``).
 """
 
+import dataclasses
 from typing import Annotated
 
 import numpy as np
 from jaxtyping import Bool
 from numpy.typing import ArrayLike
 
+from jaxplan.errors import InputError
 from jaxplan.precision import in_float64
 from jaxplan.search.kernels import astar
+from jaxplan.search.kernels.alternatives import find_alternatives
 from jaxplan.search.kernels.follow import Limits, follow
 from jaxplan.search.kernels.roads import TANGENT
 from jaxplan.search.kernels.sight import paths_keep_clear
-from jaxplan.search.lattice import Lattices, Paths
+from jaxplan.search.lattice import MOST_ALTERNATIVES, Lattices, Paths
 from jaxplan.search.lattice_routes import search_lattice, search_lattices
-from jaxplan.search.request import Request, finish, open_request
+from jaxplan.search.request import Request, finish, open_request, with_more_rows
 from jaxplan.search.roadmap import Roadmap, connected
 from jaxplan.status import Note
 from jaxplan.world.obstacles import World
@@ -40,19 +44,65 @@ def find_routes(
     goals: Annotated[ArrayLike, "k 3"],
     target_distance: float,
     capacity: int = 32,
+    alternatives: int = 1,
 ) -> Paths:
     """Taut paths from ``start`` to each of ``goals`` [m, world]; ``length`` is that of the taut path.
 
-    ``target_distance`` [m] between the drones selects the lattice of a "multi-resolution" search. A goal that is not
-    finite, outside the room's keep-in box or closer to an obstacle than the padding has NO_PATH, as has every goal if
-    the start sees no free cell.
+    Args:
+        lattices: of ``world``.
+        world: what the lattices were made of.
+        start: where all paths begin.
+        goals: K of them. One that is not finite, outside the room's keep-in box or closer to an obstacle than the
+            padding has NO_PATH, as has every goal if the start sees no free cell.
+        target_distance: between the drones [m]; selects the lattice of a "multi-resolution" search.
+        capacity: points of the longest path; longer ones are given as prefixes.
+        alternatives: up to so many clearly different routes to each goal, of which something stands between any two:
+            row ``k`` has the shortest path to goal k, rows ``k + K``, ``k + 2 K`` those around other sides, at the
+            padding and at most half as long again; NO_PATH where there is none. A roadmap knows them.
+
+    Raises:
+        InputError: an argument is none of the above.
     """
+    _check_alternatives(lattices, alternatives)
     request = open_request(lattices, world, start, goals, capacity, from_free_cell=lattices.roadmap is None)
-    if not len(request.head):
-        return request.paths
-    if lattices.roadmap is None:
-        return finish(request.paths, search_lattices(lattices, world, request, target_distance))
-    return finish(request.paths, _search_roads(lattices, lattices.roadmap, request))
+    expanded = 0
+    if len(request.head):
+        if lattices.roadmap is None:
+            expanded = search_lattices(lattices, world, request, target_distance)
+        else:
+            expanded = _search_roads(lattices, lattices.roadmap, request)
+    if alternatives > 1 and lattices.roadmap is not None and len(request.goals):
+        request = _with_alternatives(lattices.roadmap, request, alternatives)
+    return finish(request.paths, expanded)
+
+
+def _check_alternatives(lattices: Lattices, alternatives: int) -> None:
+    if not 1 <= alternatives <= MOST_ALTERNATIVES or (alternatives > 1 and lattices.roadmap is None):
+        want = f"1 to {MOST_ALTERNATIVES}, and 1 without a roadmap"
+        raise InputError(f"alternatives: have {alternatives!r}, want {want}; search with the method 'roadmap'")
+
+
+def _with_alternatives(roadmap: Roadmap, request: Request, alternatives: int) -> Request:
+    """The request with more rows: further routes for goals around a corner, over the roads at the padding."""
+    level, known = roadmap.levels[0], request.paths
+    paths = with_more_rows(known, len(request.goals) * (alternatives - 1))
+    bent = (known.count > len(request.head) + 1) & (known.count <= known.points.shape[1])
+    bent &= known.notes & np.uint32(Note.LESS_PADDING | Note.SEARCH_ENDED) == 0
+    if bent.any():
+        limits = Limits(level.limit, min(level.limit, request.start_clearance))
+        found = paths.points, paths.count, paths.length
+        find_alternatives(tuple(roadmap.field), limits, level.roads, request.head, request.goals, bent, *found)
+    paths.notes[:] = np.tile(known.notes, alternatives)
+    paths.resolution[:] = np.where(paths.count > 0, np.tile(known.resolution, alternatives), np.nan)
+    return request._replace(paths=_shortest_first(paths, alternatives))
+
+
+def _shortest_first(paths: Paths, alternatives: int) -> Paths:
+    """The rows of each goal by their length: an alternative is sometimes a little shorter."""
+    order = np.argsort(paths.length.reshape(alternatives, -1), axis=0, kind="stable")
+    rows = (order * order.shape[1] + np.arange(order.shape[1])).ravel()
+    values = {field.name: getattr(paths, field.name) for field in dataclasses.fields(paths)}
+    return Paths(**{name: value[rows] if isinstance(value, np.ndarray) else value for name, value in values.items()})
 
 
 def warmup(lattices: Lattices, world: World, capacity: int = 32) -> None:
@@ -76,7 +126,9 @@ def _search_roads(lattices: Lattices, roadmap: Roadmap, request: Request) -> int
                 settled += _follow_roads(roadmap, number, tangent, request, wanted)
     if request.open.any():
         left = request.open.copy()
-        settled += search_lattice(lattices, 0, lattices.levels[0].grid.occupied.size, request)
+        cells = lattices.levels[0].grid.occupied.size
+        budget = lattices.config.fallback_budget or cells
+        settled += search_lattice(lattices, 0, budget, request, anytime=True)
         _mark_close(lattices, roadmap, request, left & ~request.open)
     return settled
 

@@ -60,6 +60,17 @@ def test_a_target_may_be_met_within_a_radius(world):
     assert np.median(off) > 0.2
 
 
+def test_of_several_routes_the_one_flown_soonest_is_taken(world, moving):
+    """What is in sight has one; to the others a vehicle that flies the other way is no later."""
+    others = {"world": world, "vehicle": load_vehicle(), "policy": constant_speed_policy()}
+    one, three = (build_planner(dataclasses.replace(CONFIG, alternatives=count), **others) for count in (1, 3))
+    before, after = (planner.plan_batch(moving, candidates(300)) for planner in (one, three))
+    known = np.isfinite(before.alpha) & (before.trajectory < 0) & (after.trajectory < 0)
+    assert known.sum() > 10
+    assert (after.alpha[known] >= before.alpha[known] - 1e-9).all(), "alpha is the arrival time over the least one"
+    assert (after.alpha[known] > before.alpha[known] + 1e-3).any()
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -69,6 +80,10 @@ def test_a_target_may_be_met_within_a_radius(world):
         ({"policy_speed": -1.0}, "policy_speed"),
         ({"meet_radius": -0.1}, "meet_radius"),
         ({"meet": "pass", "search": "multi-resolution"}, "meet 'rest'"),
+        ({"alternatives": 4}, "alternatives"),
+        ({"alternatives": 0}, "alternatives"),
+        ({"alternatives": 2, "meet": "rest", "search": "multi-resolution"}, "alternatives"),
+        ({"fallback_budget": 0}, "fallback_budget"),
     ],
 )
 def test_meetings_that_cannot_be_are_refused(options, said):

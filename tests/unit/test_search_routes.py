@@ -9,6 +9,7 @@ import pytest
 
 from jaxplan.errors import InputError
 from jaxplan.precision import in_float64
+from jaxplan.search import routes as routes_module
 from jaxplan.search.kernels import follow, places, roads, sight
 from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes, warmup
@@ -17,7 +18,7 @@ from jaxplan.world.load import ENVIRONMENTS, load_world
 from jaxplan.world.obstacles import Capsules, Cylinders, Planes, Spheres, World, aligned_boxes, make_obstacles
 from jaxplan.world.occupancy import exact_clearance
 from oracles.search_rooms import free_points, room
-from tolerances import relative
+from tolerances import relative, tolerance
 
 UNLIMITED = SearchConfig(
     method="multi-resolution", resolutions=(0.1,), distance_fractions=(), first_budget=10**8, last_budget=10**8
@@ -147,6 +148,45 @@ def test_a_narrower_passage_is_a_second_choice_that_says_so() -> None:
 def test_unusable_configurations_are_refused(change: dict) -> None:
     with pytest.raises(InputError, match=next(iter(change))):
         SearchConfig(**change)
+
+
+def test_a_search_that_ends_by_its_budget_says_so_and_gives_what_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if no road led anywhere. Paths that are given are clear, at whatever budget, and reach what others reach."""
+    monkeypatch.setattr(routes_module, "_follow_roads", lambda *arguments: 0)
+    world, start = room([[4.5, 3.0, 0.0], [5.5, 7.0, 2.0]]), np.array([1.5, 5.0, 1.0])
+    goals = free_points(world, 40, seed=1)
+    whole = find_routes(build_lattices(world), world, start, goals, 5.0)
+    assert (whole.reasons == 0).all()
+    reached = []
+    for budget in (20_000, 3_000, 1):
+        found = find_routes(build_lattices(world, SearchConfig(fallback_budget=budget)), world, start, goals, 5.0)
+        there, short = found.reasons == 0, found.reasons == Reason.PREFIX_ONLY
+        assert (there | short).all()
+        assert (found.notes[short] & Note.SEARCH_ENDED != 0).all()
+        assert found.expanded <= budget
+        proven = there & (found.notes & Note.SEARCH_ENDED == 0)
+        np.testing.assert_allclose(found.length[proven], whole.length[proven], **tolerance("formula"))
+        ends = found.points[np.arange(40), found.count - 1]
+        np.testing.assert_array_equal(ends[there], goals[there])
+        gained = np.linalg.norm(start - goals, axis=1) - np.linalg.norm(ends - goals, axis=1)
+        assert (gained[short] > -0.2).all(), "no farther from the goal than the start"
+        for row in range(40):
+            assert least_clearance(world, found.points[row], int(found.count[row])) >= 0.4
+        reached.append(int(there.sum()))
+    assert reached[0] > reached[1] > reached[2] == 0
+
+
+def test_goals_in_a_pocket_of_their_own_are_given_up_early() -> None:
+    """A slit that the padding closes joins two halves: cells cannot tell, and no place is tried again and again."""
+    slit = room([[4.9, 0.0, 0.0], [5.1, 4.51, 2.0]], [[4.9, 5.49, 0.0], [5.1, 10.0, 2.0]])
+    half = room([[4.9, 0.0, 0.0], [5.1, 10.0, 2.0]])
+    goals = free_points(slit, 200, seed=3)
+    beyond = goals[:, 0] > 5.1
+    start = np.array([2.5, 1.5, 1.0])
+    for world in (slit, half):
+        found = find_routes(build_lattices(world), world, start, goals, 9.0)
+        assert (found.reasons[beyond] == Reason.NO_PATH).all()
+        assert (found.reasons[~beyond] == 0).all()
 
 
 def random_room(seed: int, count: int) -> World:

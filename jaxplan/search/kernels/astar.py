@@ -61,10 +61,13 @@ def search(
     goals: Float[np.ndarray, "k 3"],
     wanted: Bool[np.ndarray, "k"],
     budget: int,
+    anytime: bool = False,
 ) -> Found:
     """Shortest paths from ``start`` to all ``wanted`` goals, settling at most ``budget`` cells.
 
-    Points in metres (world frame). ``start`` and the wanted goals must be finite and inside the lattice.
+    Points in metres (world frame). ``start`` and the wanted goals must be finite and inside the lattice. A goal that is
+    not reached, or whose path is not proven shortest, by the end of the budget has no path; if ``anytime``, it has the
+    best one known: the one found, or one to the settled cell that is nearest to it.
     """
     centre = goals[wanted].mean(axis=0) if wanted.any() else start.copy()
     space = workspace(graph.moves.size)
@@ -72,12 +75,13 @@ def search(
     ends = tuple(start.tolist()), tuple(centre.tolist())
     first = np.zeros(len(goals) + 1, np.int64)
     expanded, least, cells = _compiled_search()(
-        plain(graph), tuple(space.heap), tuple(lists), space.cost, space.arrival, first, *ends, budget
+        plain(graph), tuple(space.heap), tuple(lists), space.cost, space.arrival, first, *ends, budget, anytime
     )
     cost, entry = lists.cost[lists.alias], lists.entry[lists.alias]
     unproven = cost + lists.heuristic > least  # where the budget ended the search, an open cell may improve them still
-    cost[unproven], entry[unproven] = np.inf, NO_ENTRY
-    return Found(cost=cost, entry=entry, cells=cells, first=first, expanded=int(expanded))
+    if not anytime:
+        cost[unproven], entry[unproven] = np.inf, NO_ENTRY
+    return Found(cost=cost, entry=entry, cells=cells, first=first, expanded=int(expanded), proven=~unproven)
 
 
 def warmup() -> None:
@@ -100,6 +104,7 @@ class _Search(Protocol):
         start: tuple[float, float, float],
         centre: tuple[float, float, float],
         budget: int,
+        anytime: bool,
     ) -> tuple[int, float, Int[np.ndarray, "c"]]:
         """Settle cells; ``goals`` and ``first`` are written. Points in metres (world frame)."""
 
@@ -110,7 +115,7 @@ def _compiled_search() -> _Search:
 
     @entry_point
     @no_type_check
-    def entry(graph, heap, goals, cost, arrival, first, start, centre, budget):
+    def entry(graph, heap, goals, cost, arrival, first, start, centre, budget, anytime):
         """Name the parts of the plain tuples and search.
 
         Returns the number of settled cells, the least f of those that are open, and the cells of all paths.
@@ -121,6 +126,8 @@ def _compiled_search() -> _Search:
         heap, goals = Heap(*heap), Goals(*goals)
         expanded = _settle_all(graph, heap, goals, cost, arrival, start, centre, budget)
         least = heap.keys[1] if heap.size[0] > 0 else np.inf
+        if anytime and expanded == budget and heap.size[0] > 0:
+            _enter_nearest(graph, heap, goals, expanded)
         collect_paths(graph.frame, goals, arrival, first, np.empty(0, np.int32))
         cells = np.empty(first[-1], np.int32)
         collect_paths(graph.frame, goals, arrival, first, cells)
@@ -150,6 +157,21 @@ def _settle_all(graph, heap, goals, cost, arrival, start, centre, budget):
         if expanded % _RECHECK == 0:
             bound = _bound(goals)
     return expanded
+
+
+@inner
+@no_type_check
+def _enter_nearest(graph, heap, goals, expanded):
+    """Give each goal that is left the settled cell nearest to it as its entry; its cost stays infinite."""
+    for k in range(len(goals.points)):
+        if goals.wanted[k] and goals.cost[k] == np.inf:
+            least = np.inf
+            for number in range(1, expanded + 1):
+                cell = heap.cells[len(heap.cells) - number]
+                away = distance(centre_of(graph.frame, *indices(graph.frame, cell)), at(goals.points, k))
+                if away < least:
+                    least = away
+                    goals.entry[k] = cell
 
 
 @inner

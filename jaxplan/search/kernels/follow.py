@@ -104,9 +104,12 @@ def _compiled_follow() -> _Follow:
         farthest = _write_straight(s, head, goals, left, points, count, length)
         raw, bent, normals = np.empty((n + 2, 3)), np.empty((n + 2, 3)), np.zeros((n + 2, 3))
         settled, before, reach = 0, -1.0, FIRST_REACH * farthest
+        extent = 0.0
+        for u in range(n):
+            extent = max(extent, distance(s.start, at(s.points, u)))
         while left.any() and before < FAR:
-            settled += _settle(s, roads, heap, before, reach)
-            ended = settled == n or reach >= FAR
+            settled += settle(s, roads, heap, before, reach)
+            ended = settled == n or (heap.size[0] == 0 and reach >= extent)
             _write_bent(s, FAR if ended else reach, head, goals, left, done, raw, bent, normals, points, count, length)
             before, reach = (FAR if ended else reach), 2.0 * reach
         return settled
@@ -123,7 +126,7 @@ def _write_straight(s, head, goals, left, points, count, length):
         if left[g]:
             goal = at(goals, g)
             if keeps_clear(s.field, s.near, s.start, goal):
-                _write(head, head, 0, goal, g, points, count, length)
+                write(head, head, 0, goal, g, points, count, length)
                 left[g] = False
             else:
                 farthest = max(farthest, distance(s.start, goal))
@@ -132,7 +135,7 @@ def _write_straight(s, head, goals, left, points, count, length):
 
 @inner
 @no_type_check
-def _settle(s, roads, heap, before, reach):
+def settle(s, roads, heap, before, reach):
     """Least ways of all places up to ``reach`` [m], where those up to ``before`` are known; how many are new."""
     first, ends, lengths = roads[2], roads[3], roads[4]
     for u in range(len(s.points)):
@@ -166,7 +169,7 @@ def _write_bent(s, reach, head, goals, left, done, raw, bent, normals, points, c
         if done[g]:
             continue
         here = at(goals, g)
-        first, listed = list_ways(s, here, hint)
+        first, listed = list_ways(s, here, hint, reach)
         hint = first if first >= 0 else hint
         last, bends = -1, 0
         for other in range(g, len(goals)):
@@ -185,16 +188,16 @@ def _write_bent(s, reach, head, goals, left, done, raw, bent, normals, points, c
                 bends = tighten(s, bent, normals, bends)
             kept = last_needed(s, bent, bends, goal)
             if kept >= 0:
-                _write(head, bent, kept, goal, other, points, count, length)
+                write(head, bent, kept, goal, other, points, count, length)
             else:
                 kept = unroll(s, u, goal, raw, normals)
                 last = -1
-                _write(head, raw, kept, goal, other, points, count, length)
+                write(head, raw, kept, goal, other, points, count, length)
 
 
 @inner
 @no_type_check
-def _write(head, path, bends, goal, g, points, count, length):
+def write(head, path, bends, goal, g, points, count, length):
     """Write the path of goal ``g``: the head, the bends 1 .. ``bends`` of ``path``, the goal."""
     before = len(head)
     total, capacity = before + bends + 1, points.shape[1]

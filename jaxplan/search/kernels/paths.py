@@ -4,7 +4,7 @@ import functools
 from typing import NamedTuple, Protocol, no_type_check, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxplan.search.kernels.cells import at, centre_of, flat, indices, put
 from jaxplan.search.kernels.compiled import entry_point, inner, source_digest
@@ -24,6 +24,8 @@ class Found(NamedTuple):
     """Where each path begins in ``cells``; the last number is where all end."""
     expanded: int
     """Settled cells."""
+    proven: Bool[np.ndarray, "k"]
+    """Whether nothing shorter can be found."""
 
 
 def write_paths(

@@ -19,6 +19,12 @@ FIRST_SPREAD = 0.2
 """m; how much longer than the shortest way ways are looked at first; then four times as much (arbitrary)."""
 TURN_SLACK = 0.1
 """By how much a bend may turn away from the surface, as a difference of unit vectors; the bends are not yet moved."""
+PATIENCE, MOST_TESTS = 48, 200
+"""Places that do not see a goal before it is asked whether any near it can be reached; and, as long as not all places
+are settled, before it has to wait (arbitrary)."""
+GIVEN_UP = -2
+WITNESSES = 3
+"""The nearest places that see a goal: where none of them can be reached, the goal cannot (arbitrary)."""
 FAR = 1e6
 """m; beyond every room."""
 
@@ -45,41 +51,86 @@ class Search(NamedTuple):
 
 @inner
 @no_type_check
-def list_ways(s, goal, hint):
+def list_ways(s, goal, hint, reach):
     """The place over which the way to a goal is shortest, and how many are listed; -1 and 0 without any.
+
+    Ways longer than ``reach`` [m] are of no interest; where that is ``FAR``, all places are settled, and a goal in a
+    pocket of its own is given up early.
 
     Listed, in the order of their ways, are the places that may be best for a goal up to ``NEAR`` from this one. Those
     with shorter ways are not: they do not see the goal. Place ``hint``, if there is one, is tried first: longer ways
     are of no interest.
     """
-    shortest = np.inf
-    for u in range(len(s.points)):
-        s.ways[u] = s.cost[u] + distance(at(s.points, u), goal)
-        shortest = min(shortest, s.ways[u])
-    if shortest == np.inf:
+    shortest = _measure_ways(s, goal)
+    if shortest > reach:
         return -1, 0
     best, tested, bound = -1, 0, shortest + FIRST_SPREAD
     if hint >= 0 and _leads_on(s, hint, goal):
         best, bound = hint, s.ways[hint]
     while True:
-        listed = _sort_ways(s, -1.0, bound)
-        for n in range(tested, listed):
-            u = s.order[n]
-            if best >= 0 and s.ways[u] >= bound:
-                break
-            if _leads_on(s, u, goal):
-                best = u
-                break
+        listed = sort_ways(s, -1.0, bound)
+        best = _first_that_leads_on(s, goal, best, bound, tested, listed, reach)
         if best >= 0:
-            return best, _sort_ways(s, s.ways[best], s.ways[best] + 2.0 * NEAR)
-        if bound > FAR:
+            return best, sort_ways(s, s.ways[best], s.ways[best] + 2.0 * NEAR)
+        if best == GIVEN_UP or bound > reach:
             return -1, 0
         tested, bound = listed, shortest + 4.0 * (bound - shortest)
 
 
 @inner
 @no_type_check
-def _sort_ways(s, least, most):
+def _first_that_leads_on(s, goal, best, bound, tested, listed, reach):
+    """The first of the listed places, after ``tested`` ones, from which a goal is seen; ``best`` or ``GIVEN_UP``."""
+    for n in range(tested, listed):
+        u = s.order[n]
+        if best >= 0 and s.ways[u] >= bound:
+            break
+        if _leads_on(s, u, goal):
+            return u
+        if best < 0 and n + 1 == MOST_TESTS and reach < FAR:
+            return GIVEN_UP
+        if best < 0 and n + 1 == PATIENCE and reach == FAR:
+            if not _is_reachable(s, goal):
+                return GIVEN_UP
+            _measure_ways(s, goal)
+            sort_ways(s, -1.0, bound)
+    return best
+
+
+@inner
+@no_type_check
+def _measure_ways(s, goal):
+    """Write the ways over all places to a goal; returns the shortest [m]."""
+    shortest = np.inf
+    for u in range(len(s.points)):
+        s.ways[u] = s.cost[u] + distance(at(s.points, u), goal)
+        shortest = min(shortest, s.ways[u])
+    return shortest
+
+
+@inner
+@no_type_check
+def _is_reachable(s, goal):
+    """Whether one of the nearest places that see a goal is settled; the list and the ways are lost."""
+    for u in range(len(s.points)):
+        s.ways[u] = distance(at(s.points, u), goal)
+    seen, inner, outer = 0, -1.0, NEAR
+    while inner < FAR:
+        for n in range(sort_ways(s, inner, outer)):
+            u = s.order[n]
+            if keeps_clear(s.field, s.limit, at(s.points, u), goal):
+                if s.cost[u] < np.inf:
+                    return True
+                seen += 1
+                if seen == WITNESSES:
+                    return False
+        inner, outer = outer, 2.0 * outer
+    return False
+
+
+@inner
+@no_type_check
+def sort_ways(s, least, most):
     """List the places whose ways are longer than ``least`` and at most ``most`` [m] (Shell's sort); their number."""
     order, listed = s.order, 0
     for u in range(len(s.ways)):
@@ -124,14 +175,21 @@ def _leads_on(s, u, goal):
     """Whether a way can turn at place ``u`` towards a goal [m] that it sees."""
     p = at(s.points, u)
     apart = max(distance(p, goal), 1e-9)
-    if not runs_along(s, u, p, goal, apart):
-        return False
+    return (
+        runs_along(s, u, p, goal, apart) and turns_around(s, u, goal, apart) and keeps_clear(s.field, s.limit, p, goal)
+    )
+
+
+@inner
+@no_type_check
+def turns_around(s, u, onward, apart):
+    """Whether the way over place ``u`` to a point ``onward``, ``apart`` from it [m], turns around what stands there."""
+    p = at(s.points, u)
     before = s.start if s.parent[u] < 0 else at(s.points, s.parent[u])
-    since = max(distance(before, p), 1e-9)
-    turn = 0.0
+    since, apart, turn = max(distance(before, p), 1e-9), max(apart, 1e-9), 0.0
     for axis in range(3):
-        turn += s.normals[u, axis] * ((goal[axis] - p[axis]) / apart - (p[axis] - before[axis]) / since)
-    return turn <= TURN_SLACK and keeps_clear(s.field, s.limit, p, goal)
+        turn += s.normals[u, axis] * ((onward[axis] - p[axis]) / apart - (p[axis] - before[axis]) / since)
+    return turn <= TURN_SLACK
 
 
 @inner
