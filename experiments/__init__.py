@@ -13,5 +13,6 @@ NAMES = (
     "tune-knots",
     "network-size",
     "faults",
+    "vehicles",
     "reference-times",
 )

@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxplan.interception import Episode, RealTime
 from jaxplan.status import Note, PlanStatus
+from jaxplan.vehicle.report import vehicle_warnings
 from jaxplan.versions import installed_versions
 
 
@@ -44,7 +45,7 @@ def episode_metrics(episode: Episode) -> dict[str, Any]:
         "switch_jump": _jumps(episode),
         "candidates": _candidates(episode),
         "real_time": None if episode.real_time is None else _real_time(episode.real_time),
-        "vehicle": scenario.vehicle.name,
+        "vehicle": {"name": scenario.vehicle.name, "warnings": vehicle_warnings(scenario.vehicle)},
         "seed": scenario.seed,
         "versions": installed_versions(),
     }

@@ -56,8 +56,9 @@ def intercept(
         metrics = episode_metrics(episode)
         write_results(folder, config, episode, metrics)
         folder.publish()
-    for warning in metrics["target"]["warnings"]:
-        print(f"jaxplan: warning: target: {warning}", file=sys.stderr)
+    for what in ("target", "vehicle"):
+        for warning in metrics[what]["warnings"]:
+            print(f"jaxplan: warning: {what}: {warning}", file=sys.stderr)
     print(summary(metrics))
     print(f"results in {config.out}: {', '.join(sorted(path.name for path in Path(config.out).iterdir()))}")
     return EXIT_NOT_INTERCEPTED if require_success and not episode.success else 0

@@ -41,6 +41,7 @@ def made_up_metrics(success: bool = True) -> dict[str, Any]:
         "real_time": None,
         "replan_ms": {"total": {"p50": 12.0, "p99": 20.0, "max": 25.0}, "search": {"p50": 3.0, "p99": 4.0, "max": 5.0}},
         "target": {"name": "made up", "warnings": ["1 gaps, the longest 0.500 s at t = 1.000 s"]},
+        "vehicle": {"name": "mine", "warnings": ["mass is 9 kg"]},
     }
 
 
@@ -107,7 +108,10 @@ def test_a_run_writes_every_file(
     printed = capsys.readouterr()
     assert "intercepted" in printed.out
     assert "replan search, p50 / p99" in printed.out
-    assert printed.err == "jaxplan: warning: target: 1 gaps, the longest 0.500 s at t = 1.000 s\n"
+    assert printed.err.splitlines() == [
+        "jaxplan: warning: target: 1 gaps, the longest 0.500 s at t = 1.000 s",
+        "jaxplan: warning: vehicle: mass is 9 kg",
+    ]
 
 
 def test_no_interception_is_a_valid_run(tmp_path: Path, pretend: Callable[..., None]) -> None:

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments import closed_loop, faults, policy_comparison, scale_factor, table1, table2, trajectories
+from experiments import closed_loop, faults, policy_comparison, scale_factor, table1, table2, trajectories, vehicles
 from experiments.reference_times_report import stored_references
 from experiments.table1_report import PAPER, by_cell, report
 from jaxplan import cli
@@ -47,6 +47,45 @@ def test_a_vehicle_of_ones_own_flies_the_experiments(tmp_path: Path) -> None:
     row = {**item.values, "outcome": "intercepted", "time_to_intercept_s": 2.0}
     found = report(Results(config, [item], [row], [2.0], [False], {}, {}))
     assert "| 2.00 | - | - |" in found.markdown
+
+
+def test_vehicles_are_spread_over_the_range_and_told_apart(tmp_path: Path) -> None:
+    config = vehicles.Config(count=8)
+    items = vehicles.items(config)
+    spread = [item.values for item in items if item.values["vehicle"] is None]
+    assert len(spread) == len(items) - 5 == 8
+    for name, (low, high) in (
+        ("mass", (0.03, 5.0)),
+        ("thrust_to_weight", (1.6, 8.0)),
+        ("motor_time_constant", (0.015, 0.05)),
+    ):
+        eighths = 8.0 * np.log([values[name] / low for values in spread]) / np.log(high / low)
+        assert sorted(np.floor(eighths)) == list(range(8)), name
+    rows = [
+        {
+            "name": item.name,
+            "preset": item.values["vehicle"] is not None,
+            "mass": 0.5,
+            "thrust_to_weight": 3.0,
+            "motor_time_constant": 0.02,
+            "acceleration": 7.0,
+            "least_time": 2.0,
+            "usable": 10 * (nth > 0),
+            "tracked": 9 * (nth > 0),
+            "limit": 0.2,
+            "error_p90": 0.1 if nth else None,
+        }
+        for nth, item in enumerate(items)
+    ]
+    found = vehicles.report(Results(config, items, rows, [2.0] * 13, [False] * 13, {}, {}))
+    assert "| cf21 | 0.5 | 3.0 | 20 | 7.0 | 2.00 | 0 | - | - | 0.20 |" in found.markdown
+    assert "13 vehicles; of the usable plans of each at least 0.90 were tracked" in found.summary
+    found.figures["vehicles.png"](tmp_path / "vehicles.png")
+    assert (tmp_path / "vehicles.png").stat().st_size > 10_000
+    with pytest.raises(InputError, match="--count"):
+        vehicles.Config(count=-1)
+    with pytest.raises(InputError, match="--world"):
+        vehicles.Config(world="moon")
 
 
 def test_the_report_of_made_up_rows_says_what_is_below_the_paper() -> None:
