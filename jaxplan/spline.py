@@ -9,7 +9,7 @@ flags. A spline of JAX arrays evaluates in JAX and may stand inside any transfor
 
 from collections.abc import Sequence
 from types import ModuleType
-from typing import Annotated, Any, SupportsIndex
+from typing import Annotated, Any, SupportsIndex, no_type_check
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +20,7 @@ from jaxplan.arrays import AnyArray, Scalar, namespace
 from jaxplan.errors import InputError
 from jaxplan.polynomials import control_point_table, horner, part_table
 from jaxplan.records import record
+from jaxplan.validation import as_finite
 
 Times = float | ArrayLike
 """Instants [s], one or an array of any shape."""
@@ -113,11 +114,15 @@ class FlatStateBatch:
         return FlatState(derivatives=self.derivatives[place], yaw=self.yaw[place])
 
 
+@no_type_check
 def hover(pos: Annotated[ArrayLike, "3"], yaw: float = 0.0) -> FlatState:
-    """The state of rest at ``pos`` [m, world] with heading ``yaw`` [rad], in NumPy float64."""
+    """The state of rest at ``pos`` [m, world] with heading ``yaw`` [rad], in NumPy float64.
+
+    Raises InputError for what is not finite numbers.
+    """
     derivatives = np.zeros((5, 3))
-    derivatives[0] = pos
-    return FlatState(derivatives=derivatives, yaw=np.array([yaw, 0.0, 0.0]))
+    derivatives[0] = as_finite("hover: position", pos, (3,))
+    return FlatState(derivatives=derivatives, yaw=np.array([as_finite("hover: yaw", yaw, ()), 0.0, 0.0]))
 
 
 @record

@@ -3,7 +3,10 @@
 Every message says whose value it is, what was found and what is wanted. NaN never passes.
 """
 
+import dataclasses
 import math
+import numbers
+import os
 from typing import Any, TypeVar, no_type_check
 
 import numpy as np
@@ -27,6 +30,48 @@ def as_numbers(name: str, values: Any, dtype: type = np.float64) -> Any:
         raise InputError(f"{name}: have {type(values).__name__} that is no array of numbers ({error})") from error
 
 
+@no_type_check
+def as_shaped(name: str, values: Any, shape: tuple[int | None, ...], dtype: type = np.float64) -> Any:
+    """The values as a NumPy array of this type and shape, None for any length. Raises ``InputError`` otherwise."""
+    array = as_numbers(name, values, dtype)
+    wanted = ", ".join("K" if length is None else str(length) for length in shape)
+    fits = len(array.shape) == len(shape) and all(b is None or a == b for a, b in zip(array.shape, shape, strict=True))
+    if not fits:
+        raise InputError(f"{name}: have shape {array.shape}, want ({wanted}{',' if len(shape) == 1 else ''})")
+    return array
+
+
+@no_type_check
+def as_finite(name: str, values: Any, shape: tuple[int | None, ...]) -> Any:
+    """The same of float64, all of them finite."""
+    array = as_shaped(name, values, shape)
+    if not np.isfinite(array).all():
+        raise InputError(f"{name}: have {array[~np.isfinite(array)][0]}, want finite numbers")
+    return array
+
+
+@no_type_check
+def as_number(name: str, value: Any) -> float:
+    """One number, which may be infinite or NaN. Raises ``InputError`` otherwise."""
+    return float(as_shaped(name, value, ()))
+
+
+@no_type_check
+def require_path(owner: str, value: Any) -> None:
+    """Raise ``InputError`` unless the value is a name or a path."""
+    if not isinstance(value, str | os.PathLike):
+        raise InputError(f"{owner}: have {value!r}, want a name or a path")
+
+
+def require_kinds(owner: str, config: object) -> None:
+    """Raise ``InputError`` where a field is a configuration or a switch by default and something else here."""
+    for field in dataclasses.fields(config):  # type: ignore[arg-type]
+        value, usual = getattr(config, field.name), field.default
+        kind = type(usual)
+        if (kind is bool or dataclasses.is_dataclass(kind)) and not isinstance(value, kind):
+            raise InputError(f"{owner}: {field.name} is {value!r}, want a {kind.__name__}")
+
+
 def checks_itself(cls: type[T]) -> type[T]:
     """Say of a dataclass that its ``__post_init__`` refuses wrong types too: no run-time type checker goes first."""
     no_type_check(cls.__init__)
@@ -36,7 +81,7 @@ def checks_itself(cls: type[T]) -> type[T]:
 def require_positive(owner: str, config: object, *names: str) -> None:
     """Raise ``InputError`` unless the named fields are finite numbers above 0."""
     for name in names:
-        value = getattr(config, name)
+        value = _number(owner, config, name)
         if not 0.0 < value < math.inf:
             raise InputError(f"{owner}: {name} is {value}, want a positive number")
 
@@ -44,7 +89,7 @@ def require_positive(owner: str, config: object, *names: str) -> None:
 def require_at_least(owner: str, config: object, least: float, *names: str) -> None:
     """Raise ``InputError`` unless the named fields are finite numbers not below ``least``."""
     for name in names:
-        value = getattr(config, name)
+        value = _number(owner, config, name)
         if not least <= value < math.inf:
             raise InputError(f"{owner}: {name} is {value}, want {least:g} or more")
 
@@ -52,7 +97,7 @@ def require_at_least(owner: str, config: object, least: float, *names: str) -> N
 def require_within(owner: str, config: object, low: float, high: float, *names: str) -> None:
     """Raise ``InputError`` unless the named fields are numbers from ``low`` to ``high``, both included."""
     for name in names:
-        value = getattr(config, name)
+        value = _number(owner, config, name)
         if not low <= value <= high:
             raise InputError(f"{owner}: {name} is {value}, want {low:g} to {high:g}")
 
@@ -61,14 +106,14 @@ def require_one_of(owner: str, config: object, choices: tuple[str, ...], *names:
     """Raise ``InputError`` unless the named fields are among the ``choices``."""
     for name in names:
         value = getattr(config, name)
-        if value not in choices:
+        if not isinstance(value, str) or value not in choices:
             raise InputError(f"{owner}: {name} is {value!r}, want one of {', '.join(choices)}")
 
 
 def require_range(owner: str, config: object, *names: str) -> None:
     """Raise ``InputError`` unless the named fields are pairs of finite numbers above 0, the lesser first."""
     for name in names:
-        low, high = getattr(config, name)
+        low, high = as_shaped(f"{owner}: {name}", getattr(config, name), (2,)).tolist()
         if not 0.0 < low <= high < math.inf:
             raise InputError(f"{owner}: {name} is {(low, high)}, want two positive numbers, the lesser first")
 
@@ -76,6 +121,14 @@ def require_range(owner: str, config: object, *names: str) -> None:
 def require_between(owner: str, config: object, low: float, high: float, *names: str) -> None:
     """Raise ``InputError`` unless the named fields are numbers between ``low`` and ``high``, both excluded."""
     for name in names:
-        value = getattr(config, name)
+        value = _number(owner, config, name)
         if not low < value < high:
             raise InputError(f"{owner}: {name} is {value}, want a number between {low:g} and {high:g}")
+
+
+def _number(owner: str, config: object, name: str) -> Any:
+    """The value of a field that is to be a number."""
+    value = getattr(config, name)
+    if not isinstance(value, numbers.Real) or isinstance(value, bool):
+        raise InputError(f"{owner}: {name} is {value!r}, want a number")
+    return value

@@ -18,6 +18,7 @@ import numpy as np
 
 from jaxplan.errors import FileError
 from jaxplan.files import LARGEST_ARCHIVE, cannot_write, read_arrays, read_limited, write_atomically
+from jaxplan.validation import require_path
 
 FORMAT = 3
 Arrays = dict[str, np.ndarray]
@@ -68,6 +69,7 @@ def read_weights(path: Path, kind: str) -> tuple[dict[str, Any], Arrays]:
 
 def resolve_weights(source: str | Path, folder: Path, kind: str) -> tuple[Path, str]:
     """File and name of weights: those shipped in ``folder`` by name, or a file."""
+    require_path(kind, source)
     shipped = folder / f"{source}.npz"
     if os.path.isfile(shipped):
         return shipped, str(source)

@@ -4,48 +4,54 @@ A compiled station that meets another type or shape would be traced anew, in fli
 cast here, and what cannot be is refused in one line.
 """
 
-from typing import Any, no_type_check
+from typing import no_type_check
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxplan.errors import InputError
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.records import replace
-from jaxplan.spline import FlatState
-from jaxplan.validation import as_numbers
+from jaxplan.spline import FlatState, PiecewisePolynomial
+from jaxplan.validation import as_finite, as_shaped
 
 
 @no_type_check
 def usual_state(state: FlatState) -> FlatState:
     """The start of a plan: one state, finite. Raises ``InputError`` otherwise."""
-    derivatives = _array("state: derivatives", state.derivatives, np.float64, (5, 3))
-    yaw = _array("state: yaw", state.yaw, np.float64, (3,))
-    for name, values in (("derivatives", derivatives), ("yaw", yaw)):
-        if not np.isfinite(values).all():
-            raise InputError(f"state: {name} hold {values[~np.isfinite(values)][0]}, want finite numbers")
-    return FlatState(derivatives=derivatives, yaw=yaw)
+    derivatives = as_finite("state: derivatives", state.derivatives, (5, 3))
+    return FlatState(derivatives=derivatives, yaw=as_finite("state: yaw", state.yaw, (3,)))
 
 
 @no_type_check
 def usual_candidates(candidates: Candidates) -> Candidates:
     """Goals with times, likelihoods and reasons of the same number; single ones may be unusable. As ``usual_state``."""
-    goals = _array("candidates: goals", candidates.goals, np.float64, (None, 3))
+    goals = as_shaped("candidates: goals", candidates.goals, (None, 3))
     count = len(goals)
     return replace(
         candidates,
         goals=goals,
-        arrival_times=_array("candidates: arrival_times", candidates.arrival_times, np.float64, (count,)),
-        likelihood=_array("candidates: likelihood", candidates.likelihood, np.float64, (count,)),
-        reasons=_array("candidates: reasons", candidates.reasons, np.uint32, (count,)),
-        target=_array("candidates: target", candidates.target, np.float64, (3,)),
+        arrival_times=as_shaped("candidates: arrival_times", candidates.arrival_times, (count,)),
+        likelihood=as_shaped("candidates: likelihood", candidates.likelihood, (count,)),
+        reasons=as_shaped("candidates: reasons", candidates.reasons, (count,), np.uint32),
+        target=as_shaped("candidates: target", candidates.target, (3,)),
     )
 
 
-def _array(name: str, values: Any, dtype: type, shape: tuple[int | None, ...]) -> Any:
-    """The values as an array of this type and shape, None for any length."""
-    array: Any = as_numbers(name, values, dtype)
-    wanted = ", ".join("K" if length is None else str(length) for length in shape)
-    fits = len(array.shape) == len(shape) and all(b is None or a == b for a, b in zip(array.shape, shape, strict=True))
-    if not fits:
-        raise InputError(f"{name}: have shape {array.shape}, want ({wanted}{',' if len(shape) == 1 else ''})")
-    return array
+@no_type_check
+def usual_spline(spline: PiecewisePolynomial) -> PiecewisePolynomial:
+    """A trajectory of three coordinates, and a heading or none; its numbers may be any. As ``usual_state``."""
+    durations = as_shaped("spline: durations", spline.durations, (None,))
+    position = as_shaped("spline: position", spline.position, (len(durations), None, 3))
+    yaw = None if spline.yaw is None else as_shaped("spline: yaw", spline.yaw, (len(durations), None))
+    if not len(durations) or not position.shape[1] or (yaw is not None and not yaw.shape[1]):
+        raise InputError("spline: have no segment or no coefficient, want one or more of each")
+    return PiecewisePolynomial(
+        durations=durations, position=_with_terms(position, 5), yaw=None if yaw is None else _with_terms(yaw, 3)
+    )
+
+
+def _with_terms(coefficients: Float[np.ndarray, "m n ..."], least: int) -> Float[np.ndarray, "m k ..."]:
+    """The same polynomials with at least so many ascending coefficients."""
+    more = max(least - coefficients.shape[1], 0)
+    return np.pad(coefficients, [(0, 0), (0, more), *[(0, 0)] * (coefficients.ndim - 2)])

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxplan.feasibility.classifier import Classifier
 from jaxplan.planner.approach import approach
-from jaxplan.planner.border import usual_candidates, usual_state
+from jaxplan.planner.border import usual_candidates, usual_spline, usual_state
 from jaxplan.planner.brake import brake, impact
 from jaxplan.planner.parts import Parts
 from jaxplan.planner.records import Planner, PlannerConfig, Plans
@@ -111,7 +111,7 @@ def _validate(
 ) -> Verdict:
     """The last look at a plan, with the planner's room, vehicle and limits."""
     keep, config = parts.keep.wider(wider), parts.config.validator
-    return validate(spline, parts.room, parts.vehicle, keep, config, since=since, start=start)
+    return validate(usual_spline(spline), parts.room, parts.vehicle, keep, config, since=since, start=start)
 
 
 @in_float64

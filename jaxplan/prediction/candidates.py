@@ -1,5 +1,7 @@
 """Goal candidates: where and when the target could be met (paper, Sec. III and III-C)."""
 
+from typing import no_type_check
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
@@ -7,6 +9,7 @@ from jaxtyping import Array, Float, UInt32
 from jaxplan.arrays import AnyArray
 from jaxplan.records import record, replace, static
 from jaxplan.status import Reason, bit
+from jaxplan.validation import as_shaped
 from jaxplan.world.clearance import clearance, wall_clearance
 from jaxplan.world.obstacles import World
 
@@ -29,6 +32,7 @@ class Candidates:
     """What deserves mention about all of them, as ``jaxplan.status.Note``."""
 
 
+@no_type_check
 def candidates_from(
     target: Float[np.ndarray, "3"],
     goals: Float[np.ndarray, "k 3"],
@@ -42,7 +46,13 @@ def candidates_from(
         goals: where it could be met [m, world].
         arrival_times: when [s from now].
         log_likelihood: of each candidate, to within a constant; one that is not finite gives the likelihood 0.
+
+    Raises:
+        InputError: something is no array of numbers, or of another length.
     """
+    target, goals = as_shaped("candidates: target", target, (3,)), as_shaped("candidates: goals", goals, (None, 3))
+    arrival_times = as_shaped("candidates: arrival_times", arrival_times, (len(goals),))
+    log_likelihood = as_shaped("candidates: log_likelihood", log_likelihood, (len(goals),))
     finite = np.isfinite(log_likelihood)
     best = np.max(log_likelihood, initial=-np.inf, where=finite)
     likelihood = np.where(finite, np.exp(np.where(finite, log_likelihood - best, 0.0)), 0.0)
@@ -50,7 +60,7 @@ def candidates_from(
         goals=goals,
         arrival_times=arrival_times,
         likelihood=likelihood,
-        reasons=np.zeros(len(goals), np.uint32),
+        reasons=np.where(np.isfinite(goals).all(axis=1), np.uint32(0), np.uint32(Reason.NONFINITE)),
         target=target,
     )
 

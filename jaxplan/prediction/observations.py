@@ -1,9 +1,13 @@
 """What a predictor is given of the target."""
 
+from typing import no_type_check
+
 import numpy as np
 from jaxtyping import Float
 
+from jaxplan.errors import InputError
 from jaxplan.records import record
+from jaxplan.validation import as_finite, as_number
 
 
 @record
@@ -16,6 +20,17 @@ class Observations:
     """Metres, world."""
     age: float = 0.0
     """Seconds from the newest position until now, the instant from which arrival times count."""
+
+
+@no_type_check
+def usual_observations(observations: Observations) -> Observations:
+    """Arrays of float64. Raises ``InputError`` unless there is a position, all are finite and the times ascend."""
+    times = as_finite("observations: times", observations.times, (None,))
+    positions = as_finite("observations: positions", observations.positions, (len(times), 3))
+    age = as_number("observations: age", observations.age)
+    if not len(times) or not (np.diff(times) > 0.0).all() or age < 0.0:
+        raise InputError("observations: want one position or more, at ascending times, of an age of 0 s or more")
+    return Observations(times=times, positions=positions, age=age)
 
 
 def first_observation(time: float, position: Float[np.ndarray, "3"]) -> Observations:

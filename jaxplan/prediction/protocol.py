@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from jaxplan.prediction.candidates import Candidates, candidates_from
 from jaxplan.prediction.mixture import Prediction
-from jaxplan.prediction.observations import Observations
+from jaxplan.prediction.observations import Observations, usual_observations
 from jaxplan.records import replace
 from jaxplan.status import Note, Reason
 from jaxplan.validation import require_at_least, require_positive
@@ -108,6 +108,7 @@ class StepPredictor:
 
     def __call__(self, observations: Observations, cycle: int) -> Candidates:
         """Goals for the coming steps; with the bit TARGET_LOST, and no place, once the target is silent too long."""
+        observations = usual_observations(observations)
         prediction, draws, note = self.propose(observations, np.random.default_rng((self.seed, cycle)))
         offsets = np.asarray(prediction.offsets)
         if draws is None:

@@ -8,16 +8,15 @@ earlier ones are (``jaxplan.prediction.gating``), and once more when an earlier 
 import bisect
 import dataclasses
 import math
-from typing import Annotated
+from typing import Annotated, no_type_check
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxplan.errors import InputError
 from jaxplan.prediction.gating import GateConfig, Sample, TrackStep, advance
 from jaxplan.prediction.interpolation import interpolate
 from jaxplan.prediction.observations import Observations
-from jaxplan.validation import as_numbers, require_at_least, require_positive
+from jaxplan.validation import as_number, as_shaped, require_at_least, require_positive
 
 _CAPACITY = 4096
 """Most samples remembered."""
@@ -66,6 +65,7 @@ class ObservationStream:
         """Remembered samples that are not on the track."""
         return len(self._steps) - sum(len(step.joined) for step in self._steps)
 
+    @no_type_check
     def add(self, time: float, position: Annotated[ArrayLike, "3"], now: float) -> None:
         """Take a sample; one that cannot be used is counted in ``refused``.
 
@@ -75,12 +75,11 @@ class ObservationStream:
             now: when the sample arrives [s, the same clock].
 
         Raises:
-            InputError: the position does not have three coordinates.
+            InputError: the position does not have three coordinates, or a time is no number.
         """
-        where = as_numbers("observation stream: position", position)
-        if where.shape != (3,):
-            raise InputError(f"observation stream: the position has the shape {where.shape}, want (3,): x, y and z")
-        sample = Sample(float(time), *where.tolist())
+        where = as_shaped("observation stream: position", position, (3,))
+        sample = Sample(as_number("observation stream: time", time), *where.tolist())
+        now = as_number("observation stream: now", now)
         if not all(map(math.isfinite, sample)):
             self.refused["not_finite"] += 1
         elif sample.time > now + self.config.future:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from jaxplan.validation import require_path
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.toml import preset, vehicle_from_toml
 
@@ -12,6 +13,7 @@ def load_vehicle(name_or_path: str | Path = "mfrl") -> Vehicle:
     What has a suffix or a folder is a path. Raises InputError for an unknown name, FileError for a file that cannot be
     used. ``jaxplan.vehicle.mjcf.vehicle_from_mjcf`` says what is read from MJCF.
     """
+    require_path("vehicle", name_or_path)
     path = Path(name_or_path)
     if path.suffix.lower() == ".xml":
         from jaxplan.vehicle.mjcf import vehicle_from_mjcf  # MuJoCo, only where it is needed

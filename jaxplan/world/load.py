@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from jaxplan.errors import FileError, InputError
+from jaxplan.validation import require_path
 from jaxplan.world.formats.boxes import load_boxes
 from jaxplan.world.formats.meshes import load_obj, load_ply, load_stl
 from jaxplan.world.formats.mjcf import load_mjcf, load_own_mjcf
@@ -54,6 +55,7 @@ def load_world(name_or_path: str | Path) -> World:
 
     World frame z up, metres. Raises ``InputError`` for an unknown name, ``FileError`` for a file that cannot be used.
     """
+    require_path("world", name_or_path)
     if str(name_or_path) in ENVIRONMENTS:
         return _read(environment_path(str(name_or_path)), load_own_mjcf)
     path = Path(name_or_path)

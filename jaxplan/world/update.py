@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from jaxplan.errors import InputError
 from jaxplan.records import replace
+from jaxplan.validation import as_shaped
 from jaxplan.world.obstacles import Boxes, World
 from jaxplan.world.voxels import set_cells
 
@@ -116,8 +117,10 @@ def _place_box(world: World, index: int, center: Float[np.ndarray, "3"], half: F
 
 def _corners(corners: Corners) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Both corners [m] as float64, checked."""
-    low, high = (np.asarray(corner, dtype=np.float64) for corner in corners)
-    if low.shape != (3,) or high.shape != (3,) or not (np.isfinite(low) & np.isfinite(high) & (low < high)).all():
+    if not isinstance(corners, tuple | list) or len(corners) != 2:
+        raise InputError(f"box: have {corners!r}, want its lower and its upper corner")
+    low, high = (as_shaped("box: corner", corner, (3,)) for corner in corners)
+    if not (np.isfinite(low) & np.isfinite(high) & (low < high)).all():
         raise InputError(
             f"box: have corners {low.tolist()} and {high.tolist()}, want three finite metres each, lower < upper"
         )
