@@ -6,26 +6,29 @@ Table I's episodes are flown with one fault each: sensors (late by 0.3 s, half o
 5 m, told again and out of order), time (cycles of up to 0.5 s, whose late plans are dropped; a clock that goes back),
 the vehicle (a gust of 10 m/s, moved by 0.35 m, a rotor at 75 %), the room (a box on the committed path, beyond a stop).
 The vehicle is measured in every cycle, and lost 1 m or a right angle about body z off its reference. An episode hits
-something where its plant comes closer than its radius to an obstacle, or to a box from when it appears;
-``reference_hits`` counts commanded positions that do.
+something where its plant comes closer than its radius to an obstacle, or to a box from when it appears, which is
+``avoidable`` if a stop was clear from where the vehicle was when a plan could first take over after the event;
+``reference_hits`` counts commanded positions that come closer.
 """
 
 import dataclasses
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxplan import interception
 from jaxplan.errors import InputError
 from jaxplan.interception import Episode
-from jaxplan.planner import Planner
+from jaxplan.planner import HITS, Planner
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
 from jaxplan.runner.statistics import wilson
 from jaxplan.runner.tables import as_latex, as_markdown, number
 from jaxplan.scenario import Scenario
+from jaxplan.spline import FlatState
 from jaxplan.status import PlanStatus
 from jaxplan.tracking.result import Thresholds
+from jaxplan.tracking.rollout import CONTROL_RATE
 from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.load import ENVIRONMENTS
 
@@ -136,6 +139,7 @@ def _found(episode: Episode, trouble: Trouble) -> Row:
     return {
         **closed_loop.numbers(episode),
         "hit": bool((flown < radius).any()),
+        "avoidable": bool((flown < radius).any()) and _is_avoidable(episode, trouble, flown < radius),
         "reference_hits": int((clear < radius).sum()),
         "changed": trouble.world is not None,
         "largest_jump": max(jumps, default=0.0),
@@ -148,6 +152,22 @@ def _found(episode: Episode, trouble: Trouble) -> Row:
     }
 
 
+def _is_avoidable(episode: Episode, trouble: Trouble, touching: Bool[np.ndarray, "n"]) -> bool:
+    """Whether there was a clear stop from where the vehicle was when a plan could first take over after the event."""
+    flight, event = episode.flight, min(trouble.appeared, trouble.event)
+    after = [cycle.time for cycle in episode.cycles if cycle.time >= event]
+    first = (
+        int(np.searchsorted(flight.times, after[0] + episode.scenario.replanning.latency)) if after else len(touching)
+    )
+    if first >= len(touching) or touching[:first].any():
+        return False
+    velocity = flight.velocity[max(first - 5, 0) : first + 1]
+    acceleration = (velocity[-1] - velocity[0]) * CONTROL_RATE / max(len(velocity) - 1, 1)
+    derivatives = np.stack([flight.position[first], velocity[-1], acceleration, np.zeros(3), np.zeros(3)])
+    stops = trouble.planner.brake(FlatState(derivatives=derivatives, yaw=np.zeros(3)))
+    return bool((stops.reasons & np.uint32(HITS) == 0).any())
+
+
 def _free(trouble: Trouble, times: Float[np.ndarray, "n"], points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
     """Distance to what has appeared in the room, from when it did; infinite where nothing has."""
     if trouble.world is None:
@@ -156,7 +176,20 @@ def _free(trouble: Trouble, times: Float[np.ndarray, "n"], points: Float[np.ndar
     return np.where(times >= trouble.appeared, free, np.inf)
 
 
-HEADER = ("fault", "episodes", "met", "95 %", "mean s", "lost", "hit", "reference hit", "largest jump", "late", "stops")
+HEADER = (
+    "fault",
+    "episodes",
+    "met",
+    "95 %",
+    "mean s",
+    "lost",
+    "hit",
+    "avoidable",
+    "reference hit",
+    "largest jump",
+    "late",
+    "stops",
+)
 HEADER += ("blocked", "boxes", "clocks refused", "plans refused")
 
 
@@ -195,6 +228,7 @@ def _cells(fault: str, rows: list[Row]) -> list[str]:
         number(float(np.mean(met)) if met else None, ".2f"),
         str(sum(row["outcome"] == "tracking_lost" for row in rows)),
         total("hit"),
+        total("avoidable"),
         str(sum(row["reference_hits"] > 0 for row in rows)),
         f"{max(row['largest_jump'] for row in rows):.0e}",
         *(total(name) for name in ("late", "stops", "blocked", "changed", "refused_clocks", "refused_plans")),

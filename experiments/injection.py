@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxplan.errors import InputError
+from jaxplan.planner import Planner
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.stream import ObservationStream
@@ -75,6 +76,11 @@ class Trouble:
     def ever_planned(self) -> bool:
         """As the replanner's."""
         return self._replanner.ever_planned
+
+    @property
+    def planner(self) -> Planner:
+        """The replanner's, of the room as it is now."""
+        return self._replanner.planner
 
     @property
     def plans(self) -> list[CommittedPlan]:

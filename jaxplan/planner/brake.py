@@ -1,8 +1,11 @@
 """Stops, for when the committed plan may not be flown any more and there is no other (host).
 
-A stop is a straight flight from the present state to rest, at one of several decelerations and directions around that
-of the velocity, all checked at once like any other plan, but for the deviation: there is no path to keep.
+A stop is a flight from the present state to rest, at one of several decelerations, straight on in one of several
+directions around that of the velocity, or along the committed plan, which is clear up to what is in its way. All are
+checked at once like any other plan, but for the deviation: there is no path to keep.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,29 +21,48 @@ from jaxplan.status import Reason
 
 INSTANTS = 64
 """Of a trajectory, to see how fast it runs into something (arbitrary: 1 to 3 cm apart in a stop)."""
-DECELERATIONS = (28.0, 20.0, 14.0, 9.0)
+DECELERATIONS = (28.0, 20.0, 14.0, 9.0, 6.0)
 """Mean ones [m/s^2], along the way (arbitrary; the first is near what the preset ``mfrl`` can)."""
-TURNS = ((0, 0), (25, 0), (-25, 0), (50, 0), (-50, 0), (80, 0), (-80, 0), (0, 25), (0, -25), (30, 25), (-30, 25))
+TURNS = ((0, 0), (25, 0), (-25, 0), (50, 0), (-50, 0), (80, 0), (-80, 0), (0, 25), (0, -25))
 """From the direction of the velocity to that of the stop: sideways and upwards [degrees] (arbitrary)."""
 REACTION = 0.12
 """Seconds in which the thrust is turned around: so long the acceleration is taken to go on (arbitrary)."""
-SHORTEST_TIME = 0.4
-"""Of a stop [s], for slow starts (arbitrary)."""
+SHORTEST_TIMES = (0.4, 0.55, 0.75, 1.0, 1.5)
+"""Of a stop [s] at each deceleration, for slow starts whose thrust points elsewhere (arbitrary)."""
+LEGS = (2, 3)
+"""Of stops along a plan: the more, the nearer they keep to it and the more they turn (arbitrary)."""
 
 
-def brake(parts: Parts, state: FlatState) -> Stops:
-    """Stops from one state, each at a deceleration and in a direction of its own."""
+class _Ways(NamedTuple):
+    """Stops before they are solved, batch last."""
+
+    waypoints: Float[np.ndarray, "n 3 k"]
+    """The last one repeated [m, world]."""
+    legs: Int[np.ndarray, "k"]
+    times: Float[np.ndarray, "k"]
+    """Of the whole stop [s]."""
+
+
+def brake(parts: Parts, state: FlatState, along: PiecewisePolynomial | None = None, since: float = 0.0) -> Stops:
+    """Stops from one state, each at a deceleration and in a direction of its own.
+
+    Args:
+        parts: of the planner.
+        state: where they begin.
+        along: the plan that is flown; some stops go the way that it goes from ``since`` [s of its own time] on.
+        since: when they begin.
+    """
     state = usual_state(state)
-    ways, times = _ways(state)
-    count = len(times)
-    start = np.asarray(state.pos)[:, None]
-    waypoints = np.repeat((start + ways.T)[None], MAX_WAYPOINTS, axis=0)
-    waypoints[0] = start
+    waypoints, legs, times = ways = _straight(state)
+    if along is not None:
+        every = [ways, *(_along(state, along, since, number) for number in LEGS)]
+        waypoints, legs, times = (np.concatenate(parts, axis=-1) for parts in zip(*every, strict=True))
+    count, start = len(times), np.asarray(state.pos)[:, None]
     shares = np.linspace(0.0, 1.0, parts.config.knots.samples)[:, None, None]
-    two = np.full(count, 2)
-    routes = shortened(Routes(waypoints, two, two - 1, start + shares * ways.T, np.zeros(count, np.uint32)))
-    durations = np.zeros((len(routes.waypoints) - 1, count))
-    durations[0] = times
+    samples = start + shares * (waypoints[-1] - start)
+    routes = shortened(Routes(waypoints, legs + 1, legs, samples, np.zeros(count, np.uint32)))
+    segments = np.arange(len(routes.waypoints) - 1)[:, None]
+    durations = np.where(segments < legs, times / legs, 0.0)
     least = parts.config.checks.least_probability
 
     def check(some: Int[np.ndarray, "n"]) -> Trajectories:
@@ -51,12 +73,13 @@ def brake(parts: Parts, state: FlatState) -> Stops:
     unfit = np.asarray(found.margins.reasons) & ~np.uint32(Reason.DEVIATION)
     splines = [found.splines.spline(one) for one in range(count)]
     return Stops(
-        goals=waypoints[1].T,
+        goals=waypoints[-1].T,
         arrival_times=times,
         reasons=unfit,
         splines=found.splines,
         margins=found.margins,
         impact=np.array([impact(parts, spline, 0.0) for spline in splines]),
+        thrust=np.array([_thrust(parts, spline) for spline in splines]),
     )
 
 
@@ -70,17 +93,52 @@ def impact(parts: Parts, spline: PiecewisePolynomial, since: float) -> float:
     return float(speeds[np.argmax(touching)]) if touching.any() else 0.0
 
 
-def _ways(state: FlatState) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k"]]:
-    """Where to [m from here] and how long [s]: on for a moment, then evenly slower."""
-    velocity, acceleration = np.asarray(state.vel), np.asarray(state.acc)
-    carried = velocity * REACTION + 0.5 * acceleration * REACTION**2
-    velocity = velocity + acceleration * REACTION
+def _thrust(parts: Parts, spline: PiecewisePolynomial) -> float:
+    """The most that a trajectory asks for [m/s^2, per mass], without drag."""
+    acceleration = np.asarray(spline.evaluate(np.linspace(0.0, float(spline.duration), INSTANTS), 2))[:, :3]
+    upwards = np.array([0.0, 0.0, float(parts.vehicle.gravity)])
+    most = np.linalg.norm(acceleration + upwards, axis=1).max()
+    return float(most) if np.isfinite(most) else np.inf
+
+
+def _straight(state: FlatState) -> _Ways:
+    """Evenly slower in all directions."""
+    carried, velocity = _carried(state)
     speed, (vx, vy, vz) = float(np.linalg.norm(velocity)), velocity
     course, climb = np.arctan2(vy, vx), np.arctan2(vz, np.hypot(vx, vy))
     aside, up = np.radians(np.array(TURNS, float)).T
     heading, pitch = course + aside, np.clip(climb + up, -0.5 * np.pi, 0.5 * np.pi)
     directions = np.stack([np.cos(heading) * np.cos(pitch), np.sin(heading) * np.cos(pitch), np.sin(pitch)], axis=1)
-    decelerations = np.array(DECELERATIONS)
-    ways = carried + directions[:, None] * (speed**2 / (2.0 * decelerations))[None, :, None]
-    times = np.maximum(REACTION + speed / decelerations, SHORTEST_TIME)
-    return ways.reshape(-1, 3), np.tile(times, len(directions))
+    times, lengths = _times_and_lengths(speed)
+    ways = (carried + directions[:, None] * lengths[None, :, None]).reshape(-1, 3)
+    waypoints = np.repeat((np.asarray(state.pos) + ways).T[None], MAX_WAYPOINTS, axis=0)
+    waypoints[0] = np.asarray(state.pos)[:, None]
+    return _Ways(waypoints, np.ones(len(ways), np.int64), np.tile(times, len(directions)))
+
+
+def _along(state: FlatState, plan: PiecewisePolynomial, since: float, legs: int) -> _Ways:
+    """The way that a plan goes, in so many legs, evenly slower; to its end at most."""
+    end = float(plan.duration)
+    path = np.asarray(plan.evaluate(np.linspace(min(since, end), end, 10 * INSTANTS)))[:, :3]
+    gone = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    carried, velocity = _carried(state)
+    times, lengths = _times_and_lengths(float(np.linalg.norm(velocity)))
+    whole = np.minimum(np.linalg.norm(carried) + lengths, gone[-1])
+    shares = np.arange(legs + 1) / legs
+    at = (1.0 - (1.0 - shares[:, None]) ** 2) * whole
+    waypoints = np.stack([np.interp(at, gone, path[:, axis]) for axis in range(3)], axis=1)
+    waypoints[0] = np.asarray(state.pos)[:, None]
+    rest = np.repeat(waypoints[-1:], MAX_WAYPOINTS - legs - 1, axis=0)
+    return _Ways(np.concatenate([waypoints, rest]), np.full(len(times), legs), times)
+
+
+def _carried(state: FlatState) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """How far the vehicle goes [m] before it reacts, and its velocity then [m/s]."""
+    velocity, acceleration = np.asarray(state.vel), np.asarray(state.acc)
+    return velocity * REACTION + 0.5 * acceleration * REACTION**2, velocity + acceleration * REACTION
+
+
+def _times_and_lengths(speed: float) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d"]]:
+    """How long stops take [s], and how far [m] they go after the reaction, by deceleration."""
+    times = np.maximum(REACTION + speed / np.array(DECELERATIONS), SHORTEST_TIMES)
+    return times, 0.5 * speed * (times - REACTION)

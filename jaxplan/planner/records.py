@@ -20,7 +20,14 @@ from jaxplan.selection import CheckConfig, Margins
 from jaxplan.selection import select as select_best
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import Reason
-from jaxplan.validation import checks_itself, require_at_least, require_one_of, require_positive, require_within
+from jaxplan.validation import (
+    checks_itself,
+    require_at_least,
+    require_kinds,
+    require_one_of,
+    require_positive,
+    require_within,
+)
 from jaxplan.world.obstacles import World
 from jaxplan.world.update import Change
 
@@ -71,6 +78,7 @@ class PlannerConfig:
     validator: ValidatorConfig = ValidatorConfig()
 
     def __post_init__(self) -> None:
+        require_kinds("planner", self)
         require_positive("planner", self, "max_yaw_rate", "resolution")
         require_at_least("planner", self, 0, "padding", "policy_speed", "meet_radius")
         require_within("planner", self, 1, 65536, "width")
@@ -153,6 +161,8 @@ class Stops:
     margins: Margins
     impact: Float[np.ndarray, "n"]
     """How fast each is [m/s] where it first touches something; 0 where nowhere."""
+    thrust: Float[np.ndarray, "n"]
+    """The most that each asks for [m/s^2, per mass], without drag."""
 
     def spline(self, index: SupportsIndex) -> PiecewisePolynomial:
         """One of the trajectories (host, NumPy)."""
@@ -178,14 +188,20 @@ def select_approach(approaches: Approaches) -> int:
 
 
 def select_stop(stops: Stops) -> int:
-    """Index of the gentlest stop; where none passes, of a clear one that the vehicle might not track.
+    """Index of the gentlest stop; where none passes, of one that only turns fast, then the clear one of least thrust.
 
     Where none is clear, of the one that hits least hard; -1 when none is finite.
     """
-    best = select_best(stops.arrival_times, stops.reasons)
-    if best < 0:
-        best = select_best(stops.arrival_times, stops.reasons & np.uint32(HITS))
-    return best if best >= 0 else select_best(-stops.impact, stops.reasons & np.uint32(Reason.NONFINITE))
+    turning = ~np.uint32(Reason.BODY_RATE)
+    for score, reasons in (
+        (stops.arrival_times, stops.reasons),
+        (stops.arrival_times, stops.reasons & turning),
+        (-stops.thrust, stops.reasons & np.uint32(HITS)),
+    ):
+        best = select_best(score, reasons)
+        if best >= 0:
+            return best
+    return select_best(-stops.impact, stops.reasons & np.uint32(Reason.NONFINITE))
 
 
 class PlanBatch(Protocol):
@@ -231,8 +247,8 @@ class Impact(Protocol):
 class Brake(Protocol):
     """Stops, for when the committed plan may not be flown any more and there is no other."""
 
-    def __call__(self, state: FlatState) -> Stops:
-        """As ``PlanBatch``."""
+    def __call__(self, state: FlatState, along: PiecewisePolynomial | None = None, since: float = 0.0) -> Stops:
+        """As ``PlanBatch``; some stops go along a plan from ``since`` [s of its own time] on, where there is one."""
 
 
 class Warmup(Protocol):

@@ -23,7 +23,7 @@ from jaxplan.errors import InputError
 from jaxplan.planner import HITS, Approaches, Fault, Planner, Plans, Stops, Timer, select_stop
 from jaxplan.planner.timer import Clock
 from jaxplan.prediction.candidates import Candidates
-from jaxplan.prediction.observations import Observations
+from jaxplan.prediction.observations import Observations, usual_observations
 from jaxplan.prediction.protocol import Predictor
 from jaxplan.records import replace
 from jaxplan.replanner.committed import CommittedPlans, hold
@@ -32,6 +32,7 @@ from jaxplan.replanner.measured import carried_on, usual_measured
 from jaxplan.replanner.records import CommittedPlan, Cycle, Measured, ReplannerConfig
 from jaxplan.spline import FlatState
 from jaxplan.status import Note, PlanStatus, Reason, count_reasons
+from jaxplan.validation import as_number
 from jaxplan.world.update import Change
 
 REMEMBERED = 100
@@ -137,8 +138,10 @@ class Replanner:
             measured: the vehicle at ``now``, where it is known; without it, it is taken to be where it should.
 
         Raises:
-            InputError: ``now`` is not finite or before the last cycle, or ``measured`` not finite; nothing is decided.
+            InputError: ``now`` is not finite or before the last cycle, or ``observations`` or ``measured`` are not;
+                nothing is decided.
         """
+        now, observations = as_number("replanner: now", now), usual_observations(observations)
         if not np.isfinite(now) or now < self._last:
             raise InputError(f"replanner: now is {now} s, want a finite time from {self._last} s on, the last cycle's")
         measured = None if measured is None else usual_measured(measured)
@@ -236,11 +239,11 @@ class Replanner:
 
     def _stop(self, start: _Start, status: PlanStatus) -> tuple[PlanStatus, _Chosen | None]:
         """The soonest stop; where none is clear, the one that hits least hard if the committed plan hits harder."""
-        stops = self.planner.brake(start.state)
+        since = start.takeover - self.committed.start_time
+        stops = self.planner.brake(start.state, self.committed.spline, since)
         best = select_stop(stops)
         if best >= 0 and not stops.reasons[best] & np.uint32(HITS):
             return status, _Chosen(stops, best, np.nan)
-        since = start.takeover - self.committed.start_time
         hit = self.planner.impact(self.committed.spline, since)
         softer = best >= 0 and (stops.impact[best] < hit or (start.measured and stops.impact[best] == 0.0))
         return PlanStatus.BLOCKED, _Chosen(stops, best, np.nan) if softer else None

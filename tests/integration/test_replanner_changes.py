@@ -5,13 +5,15 @@ import numpy as np
 import pytest
 
 from jaxplan.compilation import compilations
-from jaxplan.planner import build_planner
+from jaxplan.planner import build_planner, select_stop
+from jaxplan.planner.brake import DECELERATIONS
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
 from jaxplan.prediction.observations import first_observation
+from jaxplan.records import replace
 from jaxplan.replanner import Replanner
 from jaxplan.spline import hover
-from jaxplan.status import PlanStatus
+from jaxplan.status import PlanStatus, Reason
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.clearance import free_distance
 from jaxplan.world.load import load_world
@@ -101,3 +103,45 @@ def test_a_hover_where_a_box_appears_is_left_or_said_to_be_blocked(planner):
     change = update_world(with_spare_boxes(load_world("env1"), 1), add_box=(START - 0.5, START + 0.5))
     replanner.update(change)
     assert replanner.step(0.0, first_observation(0.0, START)).status is PlanStatus.BLOCKED
+
+
+def test_stops_along_a_plan_go_its_way_and_ask_for_no_more_than_they_say(planner):
+    replanner, seen = Replanner(planner, Later(GOALS[0]), hover(START)), first_observation(0.0, START)
+    for cycle in range(8):
+        replanner.step(0.1 * cycle, seen)
+    spline, since = replanner.committed.spline, 0.9 - replanner.committed.start_time
+    state = spline.state(since)
+    straight, both = planner.brake(state), planner.brake(state, spline, since)
+    more = range(len(straight.reasons), len(both.reasons))
+    assert len(more) == 2 * len(DECELERATIONS)
+    assert len(both.reasons) <= CONFIG.width or CONFIG.width < 64, "one call of the stations"
+    path = np.asarray(spline.evaluate(np.linspace(since, float(spline.duration), 2000)))[:, :3]
+    for index in more:
+        stop = both.spline(index)
+        times = np.linspace(0.0, float(stop.duration), 100)
+        flown, acceleration = (np.asarray(stop.evaluate(times, order))[:, :3] for order in (0, 2))
+        assert np.linalg.norm(flown[:, None] - path[None], axis=2).min(axis=1).max() < 0.3
+        assert float(np.linalg.norm(stop.state(times[-1]).vel)) < 1e-6
+        np.testing.assert_allclose(stop.state(0.0).derivatives[:4], state.derivatives[:4], atol=1e-6)
+        asked = np.linalg.norm(acceleration + np.array([0.0, 0.0, 9.81]), axis=1).max()
+        assert both.thrust[index] == pytest.approx(asked, rel=0.05)
+    ends = np.linalg.norm(both.goals[list(more)] - np.asarray(state.pos), axis=1)
+    assert ends.max() > 1.5 * ends.min()
+
+
+def test_of_stops_the_gentlest_that_can_be_flown_is_taken(planner):
+    """Then one that only turns fast, then the clear one of least thrust, then the softest hit."""
+    found = planner.brake(hover(START))
+    count = len(found.reasons)
+
+    def of(reasons, thrust):
+        kinds = np.full(count, np.uint32(Reason.CLEARANCE))
+        kinds[: len(reasons)] = reasons
+        order = 1.0 * np.arange(count)
+        return replace(found, reasons=kinds, arrival_times=order, thrust=np.resize(thrust, count), impact=order + 1.0)
+
+    clear, turning, lost = 0, np.uint32(Reason.BODY_RATE), np.uint32(Reason.UNTRACKABLE | Reason.BODY_RATE)
+    assert select_stop(of([clear, clear, turning, lost], [1.0])) == 1
+    assert select_stop(of([turning, turning, lost], [1.0])) == 1
+    assert select_stop(of([lost, lost, lost], [30.0, 20.0, 25.0])) == 1
+    assert select_stop(of([], [3.0])) == 0
