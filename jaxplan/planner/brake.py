@@ -12,12 +12,13 @@ from jaxtyping import Float, Int
 
 from jaxplan.batching import at_fixed_width, pick
 from jaxplan.knots import MAX_WAYPOINTS
-from jaxplan.planner.border import usual_state
+from jaxplan.planner.border import usual_spline, usual_state
 from jaxplan.planner.parts import Parts
 from jaxplan.planner.records import Stops
 from jaxplan.planner.stations import Routes, Trajectories, shortened
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import Reason
+from jaxplan.validation import as_number
 
 INSTANTS = 64
 """Of a trajectory, to see how fast it runs into something (arbitrary: 1 to 3 cm apart in a stop)."""
@@ -44,7 +45,7 @@ class _Ways(NamedTuple):
 
 
 def brake(parts: Parts, state: FlatState, along: PiecewisePolynomial | None = None, since: float = 0.0) -> Stops:
-    """Stops from one state, each at a deceleration and in a direction of its own.
+    """Stops from one state, each at a deceleration and in a direction of its own; bad arguments raise ``InputError``.
 
     Args:
         parts: of the planner.
@@ -55,8 +56,9 @@ def brake(parts: Parts, state: FlatState, along: PiecewisePolynomial | None = No
     state = usual_state(state)
     waypoints, legs, times = ways = _straight(state)
     if along is not None:
-        every = [ways, *(_along(state, along, since, number) for number in LEGS)]
-        waypoints, legs, times = (np.concatenate(parts, axis=-1) for parts in zip(*every, strict=True))
+        plan, begin = usual_spline(along), as_number("brake: since", since)
+        every = [ways, *(_along(state, plan, begin, number) for number in LEGS)]
+        waypoints, legs, times = (np.concatenate(kind, axis=-1) for kind in zip(*every, strict=True))
     count, start = len(times), np.asarray(state.pos)[:, None]
     shares = np.linspace(0.0, 1.0, parts.config.knots.samples)[:, None, None]
     samples = start + shares * (waypoints[-1] - start)

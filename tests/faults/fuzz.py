@@ -101,7 +101,7 @@ class Calls:
             "candidates_from": (250, self.candidates_from),
             "plan_batch": (6, self.plan_batch),
             "approach": (2, self.approach),
-            "brake": (2, self.brake),
+            "brake": (6, self.brake),
             "validate": (20, self.validate),
             "step": (6, self.step),
             "stream": (250, self.observe),
@@ -168,17 +168,22 @@ class Calls:
 
     def brake(self, rng: np.random.Generator) -> bool:
         """Stops."""
-        found = self.planner.brake(self.state(rng))
+        found = self.planner.brake(self.state(rng), self.made_up_spline(rng), spoilt(rng, 0.3))
         usable = np.flatnonzero(found.reasons == 0)
         return all(finite(found.spline(int(index)).position) for index in usable[:3])
 
     def validate(self, rng: np.random.Generator) -> bool:
         """The last look, at splines of spoilt numbers: what is not finite never passes."""
+        spline = self.made_up_spline(rng)
+        verdict = self.planner.validate(spline, float(rng.choice([0.0, 0.5, 1e9])))
+        return bool(verdict.faults) or finite(spline.durations, spline.position, spline.yaw)
+
+    def made_up_spline(self, rng: np.random.Generator) -> Any:
+        """A record with one spoilt field."""
         fields = {"durations": self.spline.durations, "position": self.spline.position, "yaw": self.spline.yaw}
         name = str(rng.choice(list(fields)))
         fields[name] = spoilt(rng, fields[name])
-        verdict = self.planner.validate(jaxplan.PiecewisePolynomial(**fields), float(rng.choice([0.0, 0.5, 1e9])))
-        return bool(verdict.faults) or all(finite(value) for value in fields.values())
+        return jaxplan.PiecewisePolynomial(**fields)
 
     def step(self, rng: np.random.Generator) -> bool:
         """A cycle; the clock goes on by a little, or does not."""
