@@ -7,6 +7,7 @@ from typing import Any
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+LEADER = {"arrowstyle": "-", "color": "0.6", "linewidth": 0.6}
 WANTED = 0.9
 """Share of the usable plans that should be tracked."""
 
@@ -29,11 +30,12 @@ def draw_vehicles(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
         style: dict[str, Any] = {"s": area, "alpha": 0.8, "label": label, "marker": "D" if preset else "o"}
         axes[0].scatter(x, [row["least_time"] for row in some], **style)
         axes[1].scatter(x, [row["tracked"] / row["usable"] for row in some], **style)
-    for row in rows:
-        name = row["name"] if row["preset"] else f"{row['mass']:.2g} kg"
-        axes[0].annotate(
-            name, (row["acceleration"], row["least_time"]), xytext=(5, 4), textcoords="offset points", fontsize=7
-        )
+    named = sorted((row for row in rows if row["preset"]), key=lambda row: row["acceleration"])
+    for nth, row in enumerate(named):
+        place = (row["acceleration"], row["least_time"])
+        offset = (4, 12 + 12 * (nth % 2))  # neighbours at two heights
+        axes[0].annotate(row["name"], place, xytext=offset, textcoords="offset points", fontsize=8, arrowprops=LEADER)
+    axes[0].set_title("the larger a point, the heavier the vehicle", fontsize=9)
     axes[1].axhline(WANTED, color="0.6", linewidth=1.0, linestyle="--")
     lowest = min([row["tracked"] / row["usable"] for row in rows], default=0.0)
     axes[1].set_ylim(min(0.85, lowest - 0.05), 1.005)
