@@ -27,6 +27,7 @@ SIBLINGS = {
     ("versions", "errors"),
     ("weights", "errors"),
     ("weights", "files"),
+    ("weights", "validation"),
     ("mjcf_probe", "errors"),
     ("validation", "errors"),
     ("files", "errors"),

@@ -122,7 +122,7 @@ def test_stops_along_a_plan_go_its_way_and_ask_for_no_more_than_they_say(planner
         flown, acceleration = (np.asarray(stop.evaluate(times, order))[:, :3] for order in (0, 2))
         assert np.linalg.norm(flown[:, None] - path[None], axis=2).min(axis=1).max() < 0.3
         assert float(np.linalg.norm(stop.state(times[-1]).vel)) < 1e-6
-        np.testing.assert_allclose(stop.state(0.0).derivatives[:4], state.derivatives[:4], atol=1e-6)
+        np.testing.assert_allclose(stop.state(0.0).derivatives[:4], state.derivatives[:4], **tolerance("solve"))
         asked = np.linalg.norm(acceleration + np.array([0.0, 0.0, 9.81]), axis=1).max()
         assert both.thrust[index] == pytest.approx(asked, rel=0.05)
     ends = np.linalg.norm(both.goals[list(more)] - np.asarray(state.pos), axis=1)
