@@ -238,7 +238,7 @@ class Replanner:
         return -1
 
     def _stop(self, start: _Start, status: PlanStatus) -> tuple[PlanStatus, _Chosen | None]:
-        """The soonest stop; where none is clear, the one that hits least hard if the committed plan hits harder."""
+        """What ``select_stop`` takes; where none is clear, only if the committed plan hits harder."""
         since = start.takeover - self.committed.start_time
         stops = self.planner.brake(start.state, self.committed.spline, since)
         best = select_stop(stops)

@@ -72,7 +72,8 @@ def find_routes(
         else:
             expanded = _search_roads(lattices, lattices.roadmap, request)
     if alternatives > 1 and lattices.roadmap is not None and len(request.goals):
-        request = _with_alternatives(lattices.roadmap, request, alternatives)
+        request, settled = _with_alternatives(lattices.roadmap, request, alternatives)
+        expanded += settled
     return finish(request.paths, expanded)
 
 
@@ -82,19 +83,25 @@ def _check_alternatives(lattices: Lattices, alternatives: int) -> None:
         raise InputError(f"alternatives: have {alternatives!r}, want {want}; search with the method 'roadmap'")
 
 
-def _with_alternatives(roadmap: Roadmap, request: Request, alternatives: int) -> Request:
-    """The request with more rows: further routes for goals around a corner, over the roads at the padding."""
+def _with_alternatives(roadmap: Roadmap, request: Request, alternatives: int) -> tuple[Request, int]:
+    """The request with more rows: further routes for goals around a corner, over the roads at the padding.
+
+    And how many places were settled.
+    """
     level, known = roadmap.levels[0], request.paths
     paths = with_more_rows(known, len(request.goals) * (alternatives - 1))
     bent = (known.count > len(request.head) + 1) & (known.count <= known.points.shape[1])
     bent &= known.notes & np.uint32(Note.LESS_PADDING | Note.SEARCH_ENDED) == 0
+    settled = 0
     if bent.any():
         limits = Limits(level.limit, min(level.limit, request.start_clearance))
         found = paths.points, paths.count, paths.length
-        find_alternatives(tuple(roadmap.field), limits, level.roads, request.head, request.goals, bent, *found)
+        settled = find_alternatives(
+            tuple(roadmap.field), limits, level.roads, request.head, request.goals, bent, *found
+        )
     paths.notes[:] = np.tile(known.notes, alternatives)
     paths.resolution[:] = np.where(paths.count > 0, np.tile(known.resolution, alternatives), np.nan)
-    return request._replace(paths=_shortest_first(paths, alternatives))
+    return request._replace(paths=_shortest_first(paths, alternatives)), settled
 
 
 def _shortest_first(paths: Paths, alternatives: int) -> Paths:

@@ -66,28 +66,13 @@ def gains_for(motor_time_constant: float) -> dict[str, "IndiGains | Se3Gains"]:
 
     The factor is the root of the ratio of the lags, which held best in trial flights of the presets (decision 26).
     """
-    factor = slowness(motor_time_constant)
-    indi, se3 = IndiGains(), Se3Gains()
+    factor, powers = slowness(motor_time_constant), {"position": 2, "velocity": 1, "attitude": 2, "rates": 1}
 
-    def slower(values: Diagonal, power: int) -> Diagonal:
-        return tuple(value * factor**power for value in values)
+    def slower(gains: IndiGains | Se3Gains) -> IndiGains | Se3Gains:
+        scaled = {name: tuple(v * factor**power for v in getattr(gains, name)) for name, power in powers.items()}
+        return dataclasses.replace(gains, **scaled)  # type: ignore[arg-type]
 
-    return {
-        "indi": dataclasses.replace(
-            indi,
-            position=slower(indi.position, 2),
-            velocity=slower(indi.velocity, 1),
-            attitude=slower(indi.attitude, 2),
-            rates=slower(indi.rates, 1),
-        ),
-        "se3": dataclasses.replace(
-            se3,
-            position=slower(se3.position, 2),
-            velocity=slower(se3.velocity, 1),
-            attitude=slower(se3.attitude, 2),
-            rates=slower(se3.rates, 1),
-        ),
-    }
+    return {"indi": slower(IndiGains()), "se3": slower(Se3Gains())}
 
 
 def _check(gains: IndiGains | Se3Gains, controller: str) -> None:

@@ -10,14 +10,14 @@ around what stands at the place. Goals near each other share them.
 """
 
 import functools
-from typing import Protocol, no_type_check, runtime_checkable
+from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxplan.search.kernels.cells import at, distance
 from jaxplan.search.kernels.compiled import entry_point, inner, source_digest
-from jaxplan.search.kernels.follow import Limits, settle, write
+from jaxplan.search.kernels.follow import Follow, Limits, settle, write
 from jaxplan.search.kernels.heap import Heap, make_heap
 from jaxplan.search.kernels.roads import Roads
 from jaxplan.search.kernels.sight import keeps_clear
@@ -34,26 +34,6 @@ BETWEEN = 0.05
 """m; how near the straight lines between two paths of the same kind may come to obstacles (arbitrary)."""
 
 
-@runtime_checkable
-class _Alternatives(Protocol):
-    """The compiled search."""
-
-    def __call__(
-        self,
-        field: tuple,
-        limits: tuple,
-        roads: tuple,
-        heap: tuple,
-        head: Float[np.ndarray, "h 3"],
-        goals: Float[np.ndarray, "k 3"],
-        wanted: Bool[np.ndarray, "k"],
-        points: Float[np.ndarray, "rows capacity 3"],
-        count: Int[np.ndarray, "rows"],
-        length: Float[np.ndarray, "rows"],
-    ) -> None:
-        """Write ``points``, ``count`` and ``length`` [m, world] of the alternatives found."""
-
-
 def find_alternatives(
     field: tuple,
     limits: Limits,
@@ -64,18 +44,18 @@ def find_alternatives(
     points: Float[np.ndarray, "rows capacity 3"],
     count: Int[np.ndarray, "rows"],
     length: Float[np.ndarray, "rows"],
-) -> None:
+) -> int:
     """Write routes that differ clearly from the shortest one, and from each other, for every wanted goal.
 
     Row ``k`` of ``points``, ``count`` and ``length`` has the shortest path to goal k, which is read; the rows
-    ``k + len(goals)``, ``k + 2 len(goals)`` and so on get the others, as in ``follow``.
+    ``k + len(goals)``, ``k + 2 len(goals)`` and so on get the others, as in ``follow``. Returns the places settled.
     """
     heap, kept = tuple(make_heap(len(roads.points))), tuple(float(limit) for limit in limits)
-    _compiled_alternatives()(field, kept, tuple(roads), heap, head, goals, wanted, points, count, length)
+    return int(_compiled_alternatives()(field, kept, tuple(roads), heap, head, goals, wanted, points, count, length))
 
 
 @functools.cache
-def _compiled_alternatives() -> _Alternatives:
+def _compiled_alternatives() -> Follow:
     version = source_digest()
 
     @entry_point
@@ -97,7 +77,7 @@ def _compiled_alternatives() -> _Alternatives:
             np.empty(n),
             np.empty(n, np.int64),
         )
-        settle(s, roads, heap, -1.0, FAR)
+        settled = settle(s, roads, heap, -1.0, FAR)
         cost, parent = np.empty(n), np.empty(n, np.int64)
         paths = points, count, length
         size = 2 * n + 2, 3
@@ -107,12 +87,13 @@ def _compiled_alternatives() -> _Alternatives:
             if not done[g]:
                 here = at(goals, g)
                 t = Search(field, s.limit, s.limit, s.tangent, s.points, s.normals, here, cost, parent, s.ways, s.order)
-                _settle_anew(t, roads, heap, LONGEST * length[g])
+                settled += _settle_anew(t, roads, heap, LONGEST * length[g])
                 kept = _look_for_ways(s, t, g, most, over, head, goals, scratch, paths)
                 for other in range(g + 1, k):
-                    if not done[other] and distance(at(goals, g), at(goals, other)) <= NEAR:
+                    if not done[other] and distance(here, at(goals, other)) <= NEAR:
                         done[other] = True
                         _take_ways(s, t, other, kept, over, head, goals, scratch, paths)
+        return settled
 
     return entry  # type: ignore[no-any-return]
 
@@ -120,11 +101,11 @@ def _compiled_alternatives() -> _Alternatives:
 @inner
 @no_type_check
 def _settle_anew(t, roads, heap, reach):
-    """Least ways of all places up to ``reach`` [m], whatever was known before."""
+    """Least ways of all places up to ``reach`` [m], whatever was known before; how many they are."""
     for u in range(len(t.cost)):
         t.cost[u], t.parent[u], heap.place[u] = np.inf, -1, 0
     heap.size[0] = 0
-    settle(t, roads, heap, -1.0, reach)
+    return settle(t, roads, heap, -1.0, reach)
 
 
 @inner
@@ -168,7 +149,7 @@ def _take_shortest(g, scratch, paths):
     used = min(count[g], points.shape[1])
     for i in range(used):
         put(bent, i, (points[g, i, 0], points[g, i, 1], points[g, i, 2]))
-    _sample(bent, used, known, 0)
+    _sample(bent, used, known)
 
 
 @inner
@@ -177,14 +158,14 @@ def _write_if_different(s, t, u, head, goal, g, kept, row, scratch, paths):
     """Write the path over place ``u`` to goal ``g`` if it differs from all ``kept`` ones; returns whether it does."""
     (bent, normals, known, trial), (points, count, length) = scratch, paths
     bends = _unroll_both(s, t, u, goal, bent, normals)
-    _sample(bent, bends + 2, trial, 0)
+    _sample(bent, bends + 2, trial)
     if not _differs(s, trial, known, kept):
         return False
     bends = last_needed(s, bent, tighten(s, bent, normals, bends), goal)
     if bends < 1:
         return False
     put(bent, bends + 1, goal)
-    _sample(bent, bends + 2, trial, 0)
+    _sample(bent, bends + 2, trial)
     if _length(bent, bends + 2) > LONGEST * length[g] or not _differs(s, trial, known, kept):
         return False
     write(head, bent, bends, goal, row, points, count, length)
@@ -209,7 +190,7 @@ def _unroll_both(s, t, u, goal, path, normals):
 
 @inner
 @no_type_check
-def _sample(path, count, samples, first):
+def _sample(path, count, samples):
     """Write points at equal shares of the length of a path of ``count`` points, both ends left out."""
     total = _length(path, count)
     i, gone, step = 1, 0.0, distance(at(path, 0), at(path, 1))
@@ -221,7 +202,7 @@ def _sample(path, count, samples, first):
             step = distance(at(path, i - 1), at(path, i))
         a, b, share = at(path, i - 1), at(path, i), (wanted - gone) / max(step, 1e-9)
         p = a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2])
-        put(samples, first + m, p)
+        put(samples, m, p)
 
 
 @inner

@@ -39,7 +39,7 @@ class Limits(NamedTuple):
 
 
 @runtime_checkable
-class _Follow(Protocol):
+class Follow(Protocol):
     """The compiled search."""
 
     def __call__(
@@ -79,7 +79,7 @@ def follow(
 
 
 @functools.cache
-def _compiled_follow() -> _Follow:
+def _compiled_follow() -> Follow:
     version = source_digest()
 
     @entry_point
