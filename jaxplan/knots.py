@@ -120,7 +120,7 @@ def interpolate_along(
     path: Float[Array, "l 3"], parameter: Float[Array, "l"], at: Float[Array, "n"]
 ) -> Float[Array, "n 3"]:
     """Points of a polyline where its non-decreasing ``parameter`` takes the values ``at``."""
-    right = jnp.clip(jnp.sum(at[:, None] > parameter[None], axis=1), 1, len(parameter) - 1)
+    right = jnp.clip(jnp.sum(parameter[:, None] < at[None], axis=0, dtype=jnp.int32), 1, len(parameter) - 1)
     low, high = parameter[right - 1], parameter[right]
     weight = jnp.clip(safe_divide(at - low, high - low), 0.0, 1.0)[:, None]
     return path[right - 1] * (1.0 - weight) + path[right] * weight
@@ -178,4 +178,6 @@ def _turning(edges: Float[Array, "e 3"], lengths: Float[Array, "e"]) -> Float[Ar
 
 
 def _cumulate(values: Float[Array, "n"]) -> Float[Array, "n+1"]:
-    return jnp.concatenate([jnp.zeros_like(values[:1]), jnp.cumsum(values)])
+    """0 and the partial sums, as a product with a triangle of ones: several times as fast as XLA's scans."""
+    triangle = jnp.triu(jnp.ones((len(values), len(values) + 1), values.dtype), 1)
+    return jnp.dot(values, triangle, precision="highest")

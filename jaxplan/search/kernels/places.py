@@ -123,7 +123,7 @@ def _look(field, passages, surface, lower, upper, begin, end, shell, normals, ri
                 x, y, z = ox + (i + 0.5) * h, oy + (j + 0.5) * h, oz + (m + 0.5) * h
                 if not _inside(x, y, z, lower, upper):
                     continue
-                gx, gy, gz = _slope(solids, x, y, z, h)
+                gx, gy, gz = _slope_at_cell(values, solids, (i, j, m), (x, y, z), h)
                 steep = math.sqrt(gx * gx + gy * gy + gz * gz)
                 if steep < _SLOPE:
                     ridge[on_ridge, 0], ridge[on_ridge, 1], ridge[on_ridge, 2] = x, y, z
@@ -142,6 +142,21 @@ def _look(field, passages, surface, lower, upper, begin, end, shell, normals, ri
 def _inside(x, y, z, lower, upper):
     """Whether a point is in the box."""
     return lower[0] <= x <= upper[0] and lower[1] <= y <= upper[1] and lower[2] <= z <= upper[2]
+
+
+@inner
+@no_type_check
+def _slope_at_cell(values, solids, cell, centre, h):
+    """Gradient of the clearance at a cell's centre, by the clearances of the cells around where there are six."""
+    nx, ny, nz = values.shape
+    i, j, m = cell
+    if 0 < i < nx - 1 and 0 < j < ny - 1 and 0 < m < nz - 1:
+        return (
+            (values[i + 1, j, m] - values[i - 1, j, m]) / (2.0 * h),
+            (values[i, j + 1, m] - values[i, j - 1, m]) / (2.0 * h),
+            (values[i, j, m + 1] - values[i, j, m - 1]) / (2.0 * h),
+        )
+    return _slope(solids, centre[0], centre[1], centre[2], h)
 
 
 @inner
