@@ -26,6 +26,7 @@ from jaxplan.world.load import ENVIRONMENTS
 
 from .guidance import LAWS, Guidance
 from .optimiser import optimiser_policy
+from .plan_audit import audit
 
 LEARNED = tuple(name for name in intercept.PLANNERS if name != "no-policy")
 PLANNERS = (*intercept.PLANNERS, "profile", "optimiser", *LAWS)
@@ -138,6 +139,7 @@ def numbers(episode: Episode) -> dict[str, Any]:
         "max_yaw_error_deg": float(np.degrees(flight.yaw_error.max())),
         "min_clearance_m": float(flight.clearance.min()),
         "replans": episode.replans,
+        **audit(episode),
     }
 
 

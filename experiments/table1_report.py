@@ -92,6 +92,13 @@ def report(results: Results[Any]) -> Report:
         "## By the target's maximum speed [m/s]",
         "",
         _split(cells, "speed"),
+        "## Plans",
+        "",
+        "Every committed plan, sampled every 5 ms over its whole length: the least distance to anything beyond the",
+        "vehicle's radius, and how fast the fastest still is at its end. Hesitated: episodes slower than 1 m/s again",
+        "after more than 3 m/s. Without a plan: cycles after the departure in which nothing can even be approached.",
+        "",
+        _plans(cells),
         "![success by speed](speeds.png)",
         "",
         "![failures](failures.png)",
@@ -170,6 +177,25 @@ def _split(cells: list[Cell], key: str) -> str:
             shares.append(f"{np.mean(mine):.2f}" if mine else "-")
         lines.append([f"{cell.planner}, {cell.predictor}", *shares])
     return as_markdown(["", *(f"{value:.3g}" if isinstance(value, float) else value for value in values)], lines)
+
+
+def _plans(cells: list[Cell]) -> str:
+    """How many there were, whether they keep clear and end at rest, and how often there was none."""
+    header = ["", "plans", "least clearance [m]", "end speed [m/s]", "end [m/s^2]", "hesitated", "without a plan"]
+    lines = []
+    for cell in cells:
+        rows = [row for row in cell.rows if row.get("plan_clearance_m") is not None]
+        if not rows:
+            continue
+        columns = ("plan_clearance_m", "plan_end_speed_m_s", "plan_end_acceleration_m_s2")
+        clearance, speed, acceleration = (np.array([row[name] for row in rows]) for name in columns)
+        without, cycles = (sum(row[name] for row in cell.rows) for name in ("cycles_without_plan", "replans"))
+        hesitated = np.mean([row["hesitated"] for row in cell.rows])
+        worst = [f"{clearance.min():.3f}", f"{speed.max():.1e}", f"{acceleration.max():.1e}"]
+        count = sum(row["plans"] for row in rows)
+        shares = [f"{100 * hesitated:.1f} %", f"{100 * without / max(cycles, 1):.2f} %"]
+        lines.append([f"{cell.planner}, {cell.predictor}", str(count), *worst, *shares])
+    return as_markdown(header, lines)
 
 
 def _lines(cells: list[Cell]) -> list[Line]:

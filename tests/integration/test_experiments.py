@@ -29,6 +29,7 @@ from jaxplan.runner.ledger import Ledger
 from jaxplan.runner.registry import experiment_names, load_experiment
 from jaxplan.runner.shards import cut
 from jaxplan.spline import FlatStateBatch, hover
+from tolerances import tolerance
 
 NAME = "oracles.experiment_samples"
 TESTS = Path(__file__).resolve().parent.parent
@@ -170,6 +171,8 @@ def test_an_episode_does_not_depend_on_those_before_it() -> None:
     first = closed_loop.numbers(closed_loop.fly(config))
     closed_loop.fly(EpisodeConfig(planner="no-policy", predictor="noisy-0.05", **{**name, "target": "env1-05"}))
     assert closed_loop.numbers(closed_loop.fly(config)) == first
+    assert first["plans"] > 0 < first["plan_clearance_m"]
+    assert first["plan_end_speed_m_s"] < tolerance("solve")["atol"]
 
 
 @pytest.mark.slow

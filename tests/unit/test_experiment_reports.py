@@ -8,15 +8,27 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments import closed_loop, faults, policy_comparison, scale_factor, table1, table2, trajectories, vehicles
+from experiments import (
+    closed_loop,
+    faults,
+    plan_audit,
+    policy_comparison,
+    scale_factor,
+    table1,
+    table2,
+    trajectories,
+    vehicles,
+)
 from experiments.reference_times_report import stored_references
 from experiments.table1_report import PAPER, by_cell, report
 from jaxplan import cli
 from jaxplan import config as intercept
 from jaxplan.errors import FileError, IncompleteError, InputError
+from jaxplan.minsnap.single import minimum_snap
 from jaxplan.runner.definition import Results
 from jaxplan.runner.registry import experiment_names, load_experiment
-from tolerances import tolerance
+from jaxplan.spline import PiecewisePolynomial
+from tolerances import relative, tolerance
 
 
 def test_what_the_tables_compare_is_what_an_interception_can_choose() -> None:
@@ -95,17 +107,34 @@ def test_the_report_of_made_up_rows_says_what_is_below_the_paper() -> None:
         nth = sum(row["predictor"] == item.values["predictor"] for row in rows)
         lost = item.values["predictor"] == "ground-truth" and nth % 2 == 0
         numbers = {"outcome": "collision" if lost else "intercepted", "time_to_intercept_s": None if lost else 2.0}
-        rows.append({**item.values, **numbers})
+        flown = {"hesitated": lost, "cycles_without_plan": int(lost), "replans": 8, "plans": 3}
+        ends = {"plan_clearance_m": 0.05 + nth, "plan_end_speed_m_s": 1e-9 * nth, "plan_end_acceleration_m_s2": 1e-8}
+        rows.append({**item.values, **numbers, **flown, **ends})
     results = Results(config, items, rows, [2.0] * 8, [False] * 8, {}, {"env1/pretrained": 30.0})
     found = report(results)
     assert by_cell(rows)[0].paper == PAPER["pretrained"]["ground-truth"] == 0.78
     assert "| pretrained, ground-truth | 0.500 | 0.15 to 0.85 | 0.78 | -0.28 | 2 |" in found.markdown
     assert "0.28 below 0.78 (within the interval); 2 failures: 2 collision" in found.markdown
     assert "| pretrained, constant-velocity | 1.000 | 0.51 to 1.00 | - | - | 0 |" in found.markdown
+    assert "| pretrained, ground-truth | 12 | 0.050 | 3.0e-09 | 1.0e-08 | 50.0 % | 6.25 % |" in found.markdown
     assert "Extrapolated to 3000 episodes a cell: 3.3 h with one worker, 1.7 h with 2" in found.summary
     assert r"\begin{tabular}" in found.latex
     cold = report(dataclasses.replace(results, compiled=[True] * 8))
     assert "Every episode compiled something (46 s in all): nothing can be extrapolated." in cold.summary
+
+
+def test_plans_are_sampled_over_their_whole_length() -> None:
+    waypoints = np.array([[0.0, 0.0, 1.0], [1.0, 0.5, 1.0], [2.0, 0.0, 1.5]])
+    spline = minimum_snap(waypoints, np.array([1.0, 0.7]))
+    points, speed, acceleration = plan_audit.sampled(spline)
+    assert np.linalg.norm(np.diff(points, axis=0), axis=1).max() < plan_audit.INTERVAL * 5.0
+    np.testing.assert_allclose(points[[0, -1]], waypoints[[0, 2]], **tolerance("formula"))
+    assert np.abs(points - np.asarray(spline.evaluate(0.7))).sum(axis=1).min() < plan_audit.INTERVAL * 5.0
+    assert max(speed, acceleration) < tolerance("solve")["atol"]
+    cut = PiecewisePolynomial(durations=spline.durations[:1], position=spline.position[:1])
+    _, speed, acceleration = plan_audit.sampled(cut)
+    assert speed == pytest.approx(np.linalg.norm(spline.evaluate(1.0, 1)), **relative("formula"))
+    assert acceleration == pytest.approx(np.linalg.norm(spline.evaluate(1.0, 2)), **relative("formula"))
 
 
 def test_times_are_compared_with_the_references_of_the_same_episodes(tmp_path: Path) -> None:
