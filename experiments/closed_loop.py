@@ -199,7 +199,7 @@ def _load(world: str, defender: Defender, elsewhere: Planner | None) -> Scenario
         planner=known,
         predictor="noisy",
         meet=way,
-        heading="hold" if way == "pass" else "path",
+        heading="path" if way == "rest" else "hold",
         allocate="profile" if planner == "profile" else None,
         vehicle=defender.vehicle,
         padding=defender.padding,

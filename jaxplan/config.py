@@ -11,7 +11,7 @@ Predictor = Literal["none", "ground-truth", "noisy", "constant-velocity", "const
 PREDICTORS: tuple[Predictor, ...] = get_args(Predictor)
 Planner = Literal["no-policy", "pretrained", "mfrl"]
 PLANNERS: tuple[Planner, ...] = get_args(Planner)
-Meet = Literal["pass", "rest"]
+Meet = Literal["pass", "rest", "match"]
 MEETINGS: tuple[Meet, ...] = get_args(Meet)
 Heading = Literal["hold", "path", "target"]
 HEADINGS: tuple[Heading, ...] = get_args(Heading)
@@ -55,8 +55,8 @@ class InterceptConfig:
     for the vehicle that it was made for; for others none of them, but the profile of speeds and the rotor limits."""
 
     meet: Meet = "pass"
-    """How the target is met: pass flies through it and stops behind it; rest stops at it, no faster than the policy
-    says, as in the paper."""
+    """How the target is met: pass flies through it and stops behind it; match does so at the target's own velocity;
+    rest stops at it, no faster than the policy says, as in the paper."""
 
     heading: Heading = "hold"
     """Where the defender looks: hold keeps its yaw, path turns it along the path as in the paper, target

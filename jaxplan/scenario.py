@@ -139,9 +139,9 @@ def planner_config(config: InterceptConfig, exhaustive: bool = False) -> Planner
     usual = PlannerConfig(exhaustive=exhaustive, meet=config.meet, heading=config.heading, padding=config.padding)
     alone = config.planner == "no-policy" or config.meet == "rest"
     usual = dataclasses.replace(usual, allocate=config.allocate or ("policy" if alone else "both"))
-    if config.planner == "no-policy" and usual.allocate == "profile" and config.meet == "pass":
+    if config.planner == "no-policy" and usual.allocate == "profile" and config.meet != "rest":
         usual = dataclasses.replace(usual, arrival=dataclasses.replace(usual.arrival, least_alpha=1.0))
-    return usual if config.meet == "pass" else dataclasses.replace(usual, arrival=ArrivalConfig())
+    return usual if config.meet != "rest" else dataclasses.replace(usual, arrival=ArrivalConfig())
 
 
 def predictor_for(config: InterceptConfig, world: World, target: Target) -> StepPredictor:

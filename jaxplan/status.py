@@ -49,6 +49,8 @@ class Reason(enum.IntFlag):
     """By the feasibility classifier, too unlikely to be tracked."""
     BODY_RATE = 1 << 16
     """The thrust would have to turn faster than the body is asked to."""
+    NO_STOP = 1 << 17
+    """The target is to be met at its own velocity, and there is no room behind the meeting to stop from that."""
 
 
 class Note(enum.IntFlag):

@@ -58,6 +58,15 @@ REST = Ends(4)
 """Everything is given at the start, and the goal is reached at rest."""
 
 
+class Passage(NamedTuple):
+    """A velocity that is prescribed at one of the knots between the ends."""
+
+    knot: Int[Array, "b"]
+    """Its number; 0 where nothing is prescribed."""
+    velocity: Float[Array, "d b"]
+    """[m/s]"""
+
+
 def make_problem(
     durations: Float[Array, "m b"],
     points: Float[Array, "n d b"],
@@ -72,21 +81,27 @@ def make_problem(
     return Problem(durations, steps, jnp.where(given, initial, 0.0), goal)
 
 
-def knot_derivatives(problem: Problem, ends: Ends) -> Float[Array, "n r d b"]:
+def knot_derivatives(problem: Problem, ends: Ends, passage: Passage | None = None) -> Float[Array, "n r d b"]:
     """Optimal derivatives 1..r at each of the n = m + 1 knots; 0 behind the last real one."""
     powers, push = _weights(problem.durations, len(problem.start))
     inner = _unknown_knots(problem, ends)
     before, behind = _around(powers, inner)
-    scale = _scale(before, behind, _known(problem, ends)[inner])
+    known, given = _known(problem, ends), _with_ends(problem, None)
+    if passage is not None:
+        there, value = _at_passage(problem, passage)
+        known, given = known | there, given + value
+    scale = _scale(before, behind, known[inner])
     rows = block_tridiagonal.Rows(scale * before, scale * behind)
-    force = -_pull(problem, powers, push, scale, ends)
+    everywhere = problem.goal is not None or passage is not None
+    force = -_pull(problem, powers, push, scale, given if everywhere else given[:2], inner)
     solved = jax.lax.custom_linear_solve(
         lambda x: block_tridiagonal.multiply(rows, x),
         force,
         lambda _, b: block_tridiagonal.solve(rows, b),
         symmetric=True,
     )
-    return _with_ends(problem, solved * scale[:, :, None])
+    found = _with_ends(problem, solved * scale[:, :, None])
+    return found if passage is None else found + value
 
 
 def cost(problem: Problem, ends: Ends) -> tuple[Float[Array, "b"], Float[Array, "b"]]:
@@ -184,19 +199,36 @@ def _scale(
     return jnp.where(free, jax.lax.rsqrt(jnp.where(free, diagonal, 1.0)), 0.0)
 
 
+def _at_passage(problem: Problem, passage: Passage) -> tuple[Bool[Array, "n r b"], Float[Array, "n r d b"]]:
+    """Which derivatives are prescribed between the ends, and their values; 0 elsewhere."""
+    kind = passage.knot.dtype
+    knot = jnp.arange(len(problem.durations) + 1, dtype=kind)[:, None, None]
+    first = (jnp.arange(len(problem.start)) == 0)[None, :, None]
+    inside = (passage.knot > 0) & (passage.knot < _count(problem.durations).astype(kind))
+    there = (knot == passage.knot[None, None]) & first & inside[None, None]
+    return there, jnp.where(there[:, :, None], passage.velocity[None, None], 0.0)
+
+
 def _pull(
-    problem: Problem, powers: Float[Array, "m r b"], push: Float[Array, "m b"], scale: Float[Array, "k r b"], ends: Ends
+    problem: Problem,
+    powers: Float[Array, "m r b"],
+    push: Float[Array, "m b"],
+    scale: Float[Array, "k r b"],
+    values: Float[Array, "v r d b"],
+    inner: slice,
 ) -> Float[Array, "k r d b"]:
-    """dE/dx / 2 at the unknown knots for free derivatives 0, scaled: how waypoints and prescribed values pull."""
+    """dE/dx / 2 at the unknown knots for free derivatives 0, scaled: how waypoints and prescribed values pull.
+
+    ``values``: derivatives at the first v knots, 0 where they are free; all that is prescribed is among them.
+    """
     order = powers.shape[1]
-    energy, inner, scale = hermite.energy(order), _unknown_knots(problem, ends), scale[:, :, None]
+    energy, scale = hermite.energy(order), scale[:, :, None]
     start, end, goal = slice(1, order + 1), slice(order + 2, 2 * order + 2), order + 1
     steps = (problem.steps * push[:, None])[:, None]
     column = jnp.asarray(energy[:, goal], steps.dtype)[None, :, None, None]
     (before, behind), (step_before, step_behind) = _around(powers[:, :, None], inner), _around(steps, inner)
     pull = scale * (column[:, end] * before * step_before + column[:, start] * behind * step_behind)
-    values = _with_ends(problem, None)
-    count = 1 if problem.goal is None else len(powers)
+    count = len(values) - 1
     weights = powers[:count]
     parts = [values[:count, k] * weights[:, k, None] for k in range(order)]
     parts += [values[1 : count + 1, k] * weights[:, k, None] for k in range(order)]

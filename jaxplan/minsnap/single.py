@@ -9,7 +9,14 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from jaxplan.errors import InputError
-from jaxplan.minsnap.quadratic_program import Ends, gradient, knot_derivatives, make_problem, segment_coefficients
+from jaxplan.minsnap.quadratic_program import (
+    Ends,
+    Passage,
+    gradient,
+    knot_derivatives,
+    make_problem,
+    segment_coefficients,
+)
 from jaxplan.minsnap.status import RESIDUAL_LIMIT
 from jaxplan.precision import in_float64
 from jaxplan.spline import PiecewisePolynomial
@@ -29,18 +36,20 @@ def interpolate(
     initial: Float[Array, "r d b"],
     terminal: Float[Array, "r d b"] | None = None,
     ends: Ends | None = None,
+    passage: Passage | None = None,
 ) -> tuple[Float[Array, "m 2*r+2 d b"], Float[Array, "n r d b"]]:
     """The smoothest spline through n = m + 1 points that starts with ``initial`` derivatives and ends as ``ends`` says.
 
     The order r is that of ``initial``: 4 minimises snap, 2 acceleration. At rest at the goal when ``ends`` is
-    omitted. Durations of 0 mark padding.
+    omitted, and with a prescribed velocity at one more waypoint where there is a ``passage``. Durations of 0 mark
+    padding.
 
     Returns:
         Ascending coefficients in normalised time, and the derivatives at every knot.
     """
     ends = ends or Ends(initial.shape[0])
     problem = make_problem(durations, points, initial, terminal, ends)
-    knots = knot_derivatives(problem, ends)
+    knots = knot_derivatives(problem, ends, passage)
     return segment_coefficients(problem, points[:-1], knots), knots
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxplan.arrays import AnyArray
+from jaxplan.minsnap.quadratic_program import Passage
 from jaxplan.minsnap.single import interpolate
 from jaxplan.numerics import wrap_angle
 from jaxplan.polynomials import derivative_table, horner
@@ -102,14 +103,16 @@ def fit(
     durations: Float[Array, "m k"],
     max_yaw_rate: float,
     looking: Float[Array, "n 2 k"] | None = None,
+    passage: Passage | None = None,
 ) -> SplineBatch:
     """Minimum-snap splines from one flat state through each lane's n = m + 1 waypoints to rest at its goal.
 
     The first waypoint is the state's own position. Yaw follows the path's heading at the waypoints, or the horizontal
     directions ``looking`` there, held where those are shorter than ``SLOWEST_HEADING`` (the vehicle is slow, or the
-    point that it looks at near), and turns by at most ``max_yaw_rate`` [rad/s] on average over a segment.
+    point that it looks at near), and turns by at most ``max_yaw_rate`` [rad/s] on average over a segment. Where there
+    is a ``passage`` a waypoint is passed at its velocity.
     """
-    return fit_each(state.repeated(waypoints.shape[-1]), waypoints, durations, max_yaw_rate, looking)
+    return fit_each(state.repeated(waypoints.shape[-1]), waypoints, durations, max_yaw_rate, looking, passage)
 
 
 def fit_each(
@@ -118,11 +121,12 @@ def fit_each(
     durations: Float[Array, "m k"],
     max_yaw_rate: float,
     looking: Float[Array, "n 2 k"] | None = None,
+    passage: Passage | None = None,
 ) -> SplineBatch:
     """``fit`` from a state of its own for every lane."""
     derivatives, turning = jnp.asarray(states.derivatives), jnp.asarray(states.yaw)
     points = waypoints.at[0].set(derivatives[0])
-    position, knots = interpolate(durations, points, derivatives[1:])
+    position, knots = interpolate(durations, points, derivatives[1:], passage=passage)
     directions = knots[:, 0, :2] if looking is None else looking
     headings = _headings(turning[0], directions, durations, max_yaw_rate)
     yaw, _ = interpolate(durations, headings[:, None], turning[1:, None])

@@ -28,7 +28,7 @@ def approach(parts: Parts, state: FlatState, candidates: Candidates) -> Approach
     state, candidates = usual_state(state), usual_candidates(candidates)
     table = reject(parts, state, table_of(candidates, parts.config.likelihood_weight))
     rows = _latest_goals(table)
-    meetings = (True, False) if parts.config.meet == "pass" else (False,)
+    meetings = (True, False) if parts.config.meet != "rest" else (False,)
     asked = parts.allocations(state)
     axes = np.meshgrid(np.arange(len(asked)), np.arange(len(rows)), meetings, PACES, indexing="ij")
     allocation, member, passing, alpha = (axis.ravel() for axis in axes)

@@ -90,16 +90,27 @@ class Parts(NamedTuple):
         paths = find_routes(self.lattices, self.world, start, goals, distance, self.config.path_capacity, alternatives)
         return ending_before(paths, self.config.meet_radius)
 
-    def route(self, paths: Paths, member: Int[np.ndarray, "k"], passing: Bool[np.ndarray, "k"]) -> Routes:
-        """Waypoints along the paths ``member``, where ``passing`` on to their stop points; arrays as long as needed."""
+    def route(
+        self,
+        paths: Paths,
+        member: Int[np.ndarray, "k"],
+        passing: Bool[np.ndarray, "k"],
+        velocities: Float[np.ndarray, "p 3"] | None = None,
+    ) -> Routes:
+        """Waypoints along the paths ``member``, where ``passing`` on to their stop points; arrays as long as needed.
+
+        The goals of all paths may have ``velocities`` [m/s] at which they are passed: stop points are ahead then.
+        """
         stops = paths.points[member, -1]
         if passing.any():
-            stops = np.where(passing[:, None], stop_points(self.lattices, self.world, paths)[member], stops)
+            behind = stop_points(self.lattices, self.world, paths, velocities)
+            stops = np.where(passing[:, None], behind[member], stops)
 
         def place(some: Int[np.ndarray, "n"]) -> Routes:
             return self.stations.route(paths.points[member[some]], stops[some])
 
-        return shortened(at_fixed_width(place, np.arange(len(member)), self.config.width))
+        routes = shortened(at_fixed_width(place, np.arange(len(member)), self.config.width))
+        return routes if velocities is None else routes._replace(velocity=velocities[member].T)
 
     def allocations(self, state: FlatState) -> tuple[Allocation, ...]:
         """Who allots the times of plans from this state: those that are asked in turn."""

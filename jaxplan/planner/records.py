@@ -51,7 +51,8 @@ class PlannerConfig:
     """Up to so many clearly different routes to each goal, of which the one is taken that is flown soonest (roadmap);
     decision 27 has what that takes and gives."""
     meet: Meet = "pass"
-    """How a target is met: "pass" flies through the goal to a stop point behind it, "rest" stops at it (paper)."""
+    """How a target is met: "pass" flies through the goal to a stop point behind it, "match" does so at the velocity
+    that the target is expected to have there, "rest" stops at the goal (paper)."""
     meet_radius: float = 0.0
     """How far from the predicted target [m] it may be met: paths end so much before their goals, on their last leg."""
     heading: Heading = "hold"
@@ -89,8 +90,8 @@ class PlannerConfig:
         require_one_of("planner", self, MEETINGS, "meet")
         require_one_of("planner", self, HEADINGS, "heading")
         require_one_of("planner", self, ALLOCATIONS, "allocate")
-        if self.meet == "pass" and self.search != "roadmap":
-            raise InputError(f"planner: meet 'pass' needs search 'roadmap', have {self.search!r}; want meet 'rest'")
+        if self.meet != "rest" and self.search != "roadmap":
+            raise InputError(f"planner: meet {self.meet!r} needs search 'roadmap', have {self.search!r}; want 'rest'")
 
 
 @record

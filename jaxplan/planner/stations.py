@@ -17,6 +17,7 @@ from jaxplan.arrays import AnyArray, Scalar
 from jaxplan.arrival import Arrival, match_arrival, time_to
 from jaxplan.feasibility.classifier import Classifier
 from jaxplan.knots import MAX_WAYPOINTS, select_routes
+from jaxplan.minsnap.quadratic_program import Passage
 from jaxplan.minsnap.spline_batch import SplineBatch, fit
 from jaxplan.numerics import safe_norm
 from jaxplan.planner.records import PlannerConfig
@@ -48,6 +49,8 @@ class Routes(NamedTuple):
     samples: Float[AnyArray, "p 3 k"]
     """The paths at equal steps of arc length [m, world], for the deviation test."""
     reasons: UInt32[AnyArray, "k"]
+    velocity: Float[AnyArray, "3 k"]
+    """At which the goal is passed [m/s, world]; NaN where that is free."""
 
 
 class Trajectories(NamedTuple):
@@ -140,6 +143,7 @@ def compile_stations(
             meet=routes.meet,
             samples=jnp.moveaxis(routes.samples, 0, -1),
             reasons=bit(~routes.whole, Reason.PREFIX_ONLY),
+            velocity=jnp.full((3, len(paths)), jnp.nan),
         )
 
     def match(
@@ -166,7 +170,8 @@ def compile_stations(
         least_probability: Scalar,
     ) -> Trajectories:
         looking = _at_target(routes, durations, target) if config.heading == "target" else None
-        splines = fit(state, jnp.asarray(routes.waypoints), durations, max_yaw_rate, looking)
+        passage = _passage(routes) if config.meet == "match" else None
+        splines = fit(state, jnp.asarray(routes.waypoints), durations, max_yaw_rate, looking, passage)
         probability = None if classifier is None else classifier.predict(splines, vehicle).probability
         paths = jnp.asarray(routes.samples)
         return Trajectories(
@@ -194,6 +199,13 @@ def _at_target(routes: Routes, durations: Float[Array, "m k"], target: Float[Arr
     now = target[None, :, None]
     there = now + (goal - now) * share
     return jnp.where(before, there - waypoints, 0.0)[:, :2]
+
+
+def _passage(routes: Routes) -> Passage:
+    """The goals that are passed at a velocity of their own, where the sequence goes on behind them."""
+    velocity, meet = jnp.asarray(routes.velocity), jnp.asarray(routes.meet)
+    given = jnp.isfinite(velocity).all(axis=0) & (meet < jnp.asarray(routes.count) - 1)
+    return Passage(jnp.where(given, meet, 0), jnp.where(given[None], velocity, 0.0))
 
 
 def shortened(routes: Routes) -> Routes:

@@ -14,12 +14,16 @@ from jaxplan.batching import fill, join, pick
 from jaxplan.planner.parts import Allocation, Parts
 from jaxplan.planner.records import Plans
 from jaxplan.planner.stations import Routes, Trajectories, no_trajectories
-from jaxplan.prediction.candidates import Candidates
+from jaxplan.prediction.candidates import Candidates, target_velocities
 from jaxplan.search.lattice import Paths
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason
 
 Rows = Int[np.ndarray, "n"]
+
+
+SLOWEST_MEETING = 0.3
+"""m/s; a target that is slower counts as one at rest: it can be met without a stop point behind it (arbitrary)."""
 
 
 class Matched(NamedTuple):
@@ -135,8 +139,15 @@ def knots(parts: Parts, table: Table, rows: Rows) -> Table:
     """Place waypoints along the paths of all ``rows`` that were searched."""
     assert table.paths is not None, "rows are searched first"
     every = np.arange(len(table.paths.count))
-    routes = parts.route(table.paths, every, np.full(len(every), parts.config.meet == "pass"))
-    return table.against(rows, np.asarray(routes.reasons)[: len(rows)])._replace(routes=routes)
+    expected = target_velocities(table.candidates)[rows] if parts.config.meet == "match" else None
+    velocities = None if expected is None else np.tile(expected, (len(every) // len(rows), 1))
+    routes = parts.route(table.paths, every, np.full(len(every), parts.config.meet != "rest"), velocities)
+    reasons = np.asarray(routes.reasons)[: len(rows)].copy()
+    if expected is not None:
+        ends = (np.asarray(routes.meet) == np.asarray(routes.count) - 1)[: len(rows)]
+        moving = np.linalg.norm(expected, axis=1) > SLOWEST_MEETING
+        reasons[ends & moving] |= np.uint32(Reason.NO_STOP)
+    return table.against(rows, reasons)._replace(routes=routes)
 
 
 def bound(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:

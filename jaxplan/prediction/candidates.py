@@ -65,6 +65,21 @@ def candidates_from(
     )
 
 
+def target_velocities(candidates: Candidates) -> Float[np.ndarray, "k 3"]:
+    """How fast the target is expected to fly at each goal [m/s]: the way of the goals' mean over time (host).
+
+    Where all goals have one arrival time nothing is known of it: 0.
+    """
+    goals, times = np.asarray(candidates.goals), np.asarray(candidates.arrival_times)
+    instants, column = np.unique(times, return_inverse=True)
+    if len(instants) < 2 or not (np.isfinite(goals).all() and np.isfinite(instants).all()):
+        return np.zeros(goals.shape)
+    sums = np.zeros((len(instants), 3))
+    np.add.at(sums, column, goals)
+    means = sums / np.bincount(column)[:, None]
+    return np.asarray(np.gradient(means, instants, axis=0))[column]
+
+
 def reject_early(
     candidates: Candidates, world: World, start: Float[Array, "3"], padding: float, reach: Float[Array, "k"]
 ) -> Candidates:

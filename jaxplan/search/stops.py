@@ -19,15 +19,20 @@ RISES = (1.0, 0.0)
 """Shares of the rise of the path that are kept."""
 
 
-def stop_points(lattices: Lattices, world: World, paths: Paths) -> Float[np.ndarray, "k 3"]:
+def stop_points(
+    lattices: Lattices, world: World, paths: Paths, velocities: Float[np.ndarray, "k 3"] | None = None
+) -> Float[np.ndarray, "k 3"]:
     """For every path a point behind its goal that can be flown to from there [m, world]; the goal where there is none.
 
     Both keep the padding from obstacles, and from the faces of the room what the goal keeps. The way to it is as much
-    the path's continuation as there is room for.
+    the path's continuation as there is room for, or that of the ``velocities`` [m/s] at the goals, where given.
     """
     rows, last = np.arange(len(paths.points)), np.clip(paths.count - 1, 1, paths.points.shape[1] - 1)
     goals = paths.points[rows, last]
     along = goals - paths.points[rows, last - 1]
+    if velocities is not None:
+        moving = np.linalg.norm(velocities, axis=1, keepdims=True) > 1e-6
+        along = np.where(moving, velocities, along)
     length = np.linalg.norm(along, axis=1, keepdims=True)
     usable = (paths.reasons == 0)[:, None] & (length > 1e-6)
     directions = np.where(usable, along / np.where(usable, length, 1.0), 0.0)

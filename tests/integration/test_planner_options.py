@@ -10,9 +10,12 @@ from jaxplan.errors import InputError
 from jaxplan.numerics import wrap_angle
 from jaxplan.planner import PlannerConfig, build_planner, select
 from jaxplan.policy.constant_speed import constant_speed_policy
+from jaxplan.prediction.candidates import candidates_from
 from jaxplan.spline import hover
+from jaxplan.status import Reason
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import load_world
+from jaxplan.world.obstacles import World, aligned_boxes, make_obstacles
 from oracles.planner_cases import CONFIG, START, candidates, in_flight
 from tolerances import relative, tolerance
 
@@ -39,6 +42,44 @@ def test_at_rest_at_the_goal_where_that_is_wanted(world, moving):
         assert float(spline.duration) == pytest.approx(plans.arrival_times[index], **relative("formula"))
         np.testing.assert_allclose(spline.state(float(spline.duration)).pos, plans.goals[index], **tolerance("solve"))
         assert plans.alpha[index] >= 1.0 - 2e-3
+
+
+def test_met_at_the_targets_own_velocity(world, moving):
+    """Goals along a flight at 1.5 m/s: the vehicle is there when the target is, no faster and no slower."""
+    config = dataclasses.replace(CONFIG, meet="match")
+    planner = build_planner(config, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
+    times = np.arange(1.0, 7.0, 0.25)
+    velocity = np.array([0.3, 1.4, 0.05])
+    goals = np.array([-4.2, -4.4, 1.0]) + times[:, None] * velocity
+    for state in (hover(START), moving):
+        plans = planner.plan_batch(state, candidates_from(goals[0], goals, times, np.zeros(len(times))))
+        usable = np.flatnonzero(plans.reasons == 0)
+        assert len(usable) >= 3
+        for index in usable:
+            spline, arrival = plans.spline(index), plans.arrival_times[index]
+            met = spline.state(arrival)
+            slip = np.abs(arrival - np.cumsum(spline.durations)).min() * np.linalg.norm(velocity)
+            assert slip < 0.05
+            knot = np.cumsum(spline.durations)[np.argmin(np.abs(arrival - np.cumsum(spline.durations)))]
+            np.testing.assert_allclose(spline.state(knot).vel, velocity, **tolerance("solve"))
+            assert np.linalg.norm(met.pos - plans.goals[index]) < 0.05
+            assert np.linalg.norm(spline.state(float(spline.duration)).vel) < tolerance("solve")["atol"]
+
+
+def test_no_room_to_stop_behind_a_target_that_flies_into_a_niche():
+    """It can be met in passing, but not at its own velocity; one that hovers there can."""
+    low = np.array([[5.0, 3.0, 0.0], [3.0, 5.51, 0.0], [3.0, 4.2, 0.0]])
+    high = np.array([[5.2, 7.0, 3.0], [5.0, 5.8, 3.0], [5.0, 4.49, 3.0]])
+    bounds = np.array([[0.0, 0.0, 0.0], [10.0, 10.0, 3.0]])
+    niche = World(name="niche", bounds=bounds, obstacles=make_obstacles(boxes=aligned_boxes(low, high)), keep_in=0.3)
+    parts = {"world": niche, "vehicle": load_vehicle(), "policy": constant_speed_policy()}
+    planners = {meet: build_planner(dataclasses.replace(CONFIG, meet=meet), **parts) for meet in ("pass", "match")}
+    for speed, refused in ((2.0, True), (0.0, False)):
+        goals = np.array([[4.49 - 0.5 * speed, 5.0, 1.0], [4.49, 5.0, 1.0]])
+        given = candidates_from(goals[0], goals, np.array([3.0, 3.5]), np.zeros(2))
+        found = {meet: planner.plan_batch(hover([1.0, 5.0, 1.0]), given).reasons for meet, planner in planners.items()}
+        assert bool(found["match"][1] & np.uint32(Reason.NO_STOP)) is refused
+        assert not (found["pass"] & np.uint32(Reason.NO_STOP)).any()
 
 
 def test_a_target_may_be_met_within_a_radius(world):
@@ -79,7 +120,8 @@ def test_of_several_routes_the_one_flown_soonest_is_taken(world, moving):
         ({"allocate": "network"}, "allocate"),
         ({"policy_speed": -1.0}, "policy_speed"),
         ({"meet_radius": -0.1}, "meet_radius"),
-        ({"meet": "pass", "search": "multi-resolution"}, "meet 'rest'"),
+        ({"meet": "pass", "search": "multi-resolution"}, "want 'rest'"),
+        ({"meet": "match", "search": "multi-resolution"}, "want 'rest'"),
         ({"alternatives": 4}, "alternatives"),
         ({"alternatives": 0}, "alternatives"),
         ({"alternatives": 2, "meet": "rest", "search": "multi-resolution"}, "alternatives"),

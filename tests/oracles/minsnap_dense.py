@@ -9,13 +9,14 @@ import mpmath as mp
 import numpy as np
 
 
-def minimum_derivative(waypoints, durations, initial, terminal, order=4, digits=60):
+def minimum_derivative(waypoints, durations, initial, terminal, order=4, digits=60, passage=None):
     """Coefficients (m, 2r+2, d) in normalised time and the cost, for prescribed end derivatives.
 
-    ``initial`` and ``terminal`` are (r, d) derivatives 1..r, with NaN rows left free.
+    ``initial`` and ``terminal`` are (r, d) derivatives 1..r, with NaN rows left free; ``passage`` is the number of an
+    inner waypoint and the velocity there.
     """
     with mp.workdps(digits):
-        coefficients, cost = _exact(waypoints, durations, initial, terminal, order)
+        coefficients, cost = _exact(waypoints, durations, initial, terminal, order, passage)
         return np.array(coefficients, dtype=float), float(cost)
 
 
@@ -43,13 +44,13 @@ def cost_gradient(waypoints, durations, initial, terminal, order=4, digits=60):
         return np.array(times), np.array(points)
 
 
-def _exact(waypoints, durations, initial, terminal, order):
+def _exact(waypoints, durations, initial, terminal, order, passage=None):
     points = np.array([[mp.mpf(v) for v in row] for row in waypoints], dtype=object)
     ends = (np.asarray(initial, dtype=float), np.asarray(terminal, dtype=float))
-    return _solve(points, [mp.mpf(t) for t in durations], *ends, order)
+    return _solve(points, [mp.mpf(t) for t in durations], *ends, order, passage)
 
 
-def _solve(waypoints, durations, initial, terminal, order):
+def _solve(waypoints, durations, initial, terminal, order, passage):
     m, n, d = len(durations), 2 * order + 2, waypoints.shape[1]
     times = [mp.mpf(t) for t in durations]
     rows, right = [], []
@@ -73,6 +74,9 @@ def _solve(waypoints, durations, initial, terminal, order):
                     {(segment, k): v / times[segment] ** derivative for k, v in _row(n, derivative, side)},
                     values[derivative - 1],
                 )
+    if passage is not None:
+        segment, velocity = passage
+        add({(segment, k): v / times[segment] for k, v in _row(n, 1, 0)}, velocity)
     return _kkt(rows, right, times, order, m, n, d)
 
 

@@ -2,11 +2,17 @@
 
 import math
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxplan
+from jaxplan.minsnap.quadratic_program import Passage
+from jaxplan.minsnap.spline_batch import fit
 from jaxplan.polynomials import derivative_table
+from jaxplan.precision import in_float64
+from jaxplan.records import replace
 from oracles.minsnap_dense import minimum_derivative
 from tolerances import relative, tolerance
 
@@ -29,6 +35,37 @@ def solved(seed, durations, room="small", fixed_order=4, terminal="rest", waypoi
     batch = jaxplan.minimum_snap_batch(waypoints[..., None], durations[:, None], **options)
     exact, cost = minimum_derivative(waypoints, durations, start, goal, digits=50)
     return spline, batch.cost[0], exact, cost
+
+
+@in_float64
+def test_a_waypoint_is_passed_at_a_prescribed_velocity():
+    """Lanes that pass one, lanes that do not, and padded ones, side by side."""
+    rng = np.random.default_rng(3)
+    lengths, knots = [4, 4, 3, 2, 3], [2, 0, 2, 1, 3]  # 3 of 3 segments: the goal, where the vehicle rests
+    durations, waypoints = np.zeros((4, 5)), rng.uniform(-3.0, 3.0, (5, 3, 5))
+    for lane, length in enumerate(lengths):
+        durations[:length, lane] = rng.uniform(0.3, 2.0, length)
+        waypoints[length:, :, lane] = waypoints[length, :, lane]
+    start = jaxplan.hover(np.zeros(3))
+    initial = rng.normal(size=(4, 3))
+    start = replace(start, derivatives=np.concatenate([np.zeros((1, 3)), initial]))
+    waypoints[0] = 0.0
+    velocity = rng.normal(scale=3.0, size=(3, 5))
+    passage = Passage(jnp.asarray(knots), jnp.asarray(velocity))
+    splines = jax.jit(lambda w, d: fit(start, w, d, 3.0, passage=passage))(waypoints, durations)
+    for lane, (length, knot) in enumerate(zip(lengths, knots, strict=True)):
+        spline, points = splines.spline(lane), waypoints[: length + 1, :, lane]
+        inside = (knot, velocity[:, lane]) if 0 < knot < length else None
+        exact, _ = minimum_derivative(
+            points, durations[:length, lane], initial, np.zeros((4, 3)), digits=50, passage=inside
+        )
+        powers = np.linspace(0, 1, 40)[:, None] ** np.arange(10)
+        np.testing.assert_allclose(powers @ spline.position, powers @ exact, **tolerance("formula"))
+        for derivative in range(1, 5):
+            assert largest_jump(spline, derivative) < 1e-9
+        if inside is not None:
+            found = spline.evaluate(durations[:knot, lane].sum(), 1)
+            np.testing.assert_allclose(found[:3], velocity[:, lane], **tolerance("formula"))
 
 
 def energy(spline):

@@ -6,7 +6,7 @@ import pytest
 
 from jaxplan import config
 from jaxplan.errors import InputError
-from jaxplan.prediction.candidates import candidates_from, reject_early
+from jaxplan.prediction.candidates import candidates_from, reject_early, target_velocities
 from jaxplan.prediction.observations import Observations, first_observation
 from jaxplan.prediction.predictors import PREDICTORS, build_predictor
 from jaxplan.prediction.protocol import PredictionConfig
@@ -204,6 +204,23 @@ def test_likelihoods_survive_equal_and_infinite_logarithms():
     np.testing.assert_array_equal(candidates_from(goals[0], goals, times, np.full(3, -1e9)).likelihood, 1.0)
     mixed = candidates_from(goals[0], goals, times, np.array([-np.inf, 0.0, np.nan])).likelihood
     np.testing.assert_array_equal(mixed, [0.0, 1.0, 0.0])
+
+
+def test_the_targets_velocity_is_the_way_of_the_goals_mean():
+    """Exact on a parabola but at its ends, however the goals are ordered; nothing is known from one instant."""
+    times, rng = np.repeat(np.arange(1.0, 6.0), 8), np.random.default_rng(2)
+    order = rng.permutation(len(times))
+    spread = np.tile(rng.normal(size=(4, 3)), (10, 1)) * np.repeat([1.0, -1.0], 4).reshape(1, 8).repeat(5, 0).reshape(
+        -1, 1
+    )
+    goals = np.stack([0.5 * times**2, -times, 0.0 * times], axis=1) + spread
+    found = target_velocities(candidates_from(goals[0], goals[order], times[order], np.zeros(40)))
+    inner = (times[order] > 1.0) & (times[order] < 5.0)
+    wanted = np.stack([times, -np.ones(40), np.zeros(40)], axis=1)[order]
+    np.testing.assert_allclose(found[inner], wanted[inner], **tolerance("formula"))
+    np.testing.assert_allclose(found[~inner], wanted[~inner], atol=0.5 + 1e-9, rtol=0.0)
+    once = candidates_from(goals[0], goals, np.ones(40), np.zeros(40))
+    assert (target_velocities(once) == 0.0).all()
 
 
 def test_early_rejection_names_every_reason():

@@ -72,6 +72,16 @@ def test_stops_and_the_ways_to_them_keep_the_padding(name: str) -> None:
     assert (np.linalg.norm(stops - points[1:], axis=1) > 0.4).mean() > 0.9
 
 
+def test_ahead_of_the_target_where_its_velocity_is_given() -> None:
+    """Not on along the path; a target at rest has none ahead, so the path's continuation counts."""
+    world, goal = room(), np.array([[4.0, 5.0, 1.0]])
+    lattices = build_lattices(world)
+    paths = find_routes(lattices, world, np.array([1.0, 5.0, 1.0]), goal, 1.0)
+    for velocity, ahead in (([0.0, 3.0, 0.0], [0.0, 1.0, 0.0]), ([0.0, 0.0, 0.0], [1.0, 0.0, 0.0])):
+        found = np.asarray(in_float64(stop_points)(lattices, world, paths, np.array([velocity])))
+        np.testing.assert_allclose(found, goal + max(DISTANCES) * np.array(ahead), **tolerance("formula"))
+
+
 def test_lattices_alone_have_no_stops() -> None:
     world = room()
     lattices: Lattices = build_lattices(world, SearchConfig(method="multi-resolution"))
