@@ -58,7 +58,7 @@ class Config:
     """Episodes of a cell, chosen evenly among all combinations."""
 
     meet: Meet = "pass"
-    """How targets are met: pass flies through them, match at their own velocity; rest stops at them, as in the paper."""
+    """How targets are met: pass flies through them, match at their velocity; rest stops at them, as in the paper."""
 
     vehicle: str = closed_loop.VEHICLE
     """Who flies: a preset, or a file. What was learned flies the default one only; profile flies any."""
