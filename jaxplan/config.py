@@ -54,6 +54,12 @@ class InterceptConfig:
     optimiser; mfrl: the same, reinforced, with the feasibility classifier in place of the rotor limits. Default: mfrl
     for the vehicle that it was made for; for others none of them, but the profile of speeds and the rotor limits."""
 
+    policy: str | None = None
+    """A policy of one's own in place of --planner (.npz, see jaxplan train): for the vehicle that it learned to fly."""
+
+    classifier: str | None = None
+    """The feasibility classifier that learned beside it (.npz). Default: the rotor limits decide."""
+
     meet: Meet = "pass"
     """How the target is met: pass flies through it and stops behind it; match does so at the target's own velocity;
     rest stops at it, no faster than the policy says, as in the paper."""
@@ -99,6 +105,7 @@ class InterceptConfig:
         _require_up_to("padding", self.padding, _LARGEST_PADDING, "m")
         if self.planner is not None:
             _require_choice("planner", self.planner, PLANNERS)
+        self._validate_own()
         _require_choice("meet", self.meet, MEETINGS)
         _require_choice("heading", self.heading, HEADINGS)
         if self.allocate is not None:
@@ -111,6 +118,16 @@ class InterceptConfig:
         _require_start(self.start)
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < 2**32:
             raise _refusal("seed", self.seed, "a whole number from 0 to 4294967295")
+
+    def _validate_own(self) -> None:
+        """Raise ``InputError`` for files of one's own that do not fit together."""
+        for name, path in (("policy", self.policy), ("classifier", self.classifier)):
+            if path is not None:
+                _require_name(name, path)
+        if self.policy is not None and self.planner is not None:
+            raise _refusal("planner", self.planner, "none beside --policy")
+        if self.classifier is not None and self.policy is None:
+            raise _refusal("classifier", self.classifier, "none without --policy")
 
 
 def _refusal(name: str, have: object, want: str) -> InputError:

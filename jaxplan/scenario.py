@@ -101,7 +101,7 @@ def build_scenario(config: InterceptConfig, *, exhaustive: bool = False, planner
     _check_start(start, world, vehicle, distance)
     check_padding(config.padding, vehicle)
     if planner is None:
-        policy, classifier = _policy(config.planner or "no-policy")
+        policy, classifier = _policy(config)
         planner = build_planner(planning, world=world, vehicle=vehicle, policy=policy, classifier=classifier)
     else:
         planner = planner.in_world(world)
@@ -126,7 +126,7 @@ def with_a_planner(config: InterceptConfig, vehicle: Vehicle) -> InterceptConfig
 
     A profile of speeds needs nothing that was learned; what the vehicle can follow is decided by its rotor limits.
     """
-    if config.planner is not None:
+    if config.planner is not None or config.policy is not None:
         return config
     made_for = load_policy("mfrl").vehicle
     if made_for is not None and made_for.fingerprint == identify(vehicle).fingerprint:
@@ -160,11 +160,13 @@ def _distance_in(world: World) -> DistanceFunction:
     return functools.partial(host_free_distance, on_device, width=POINTS_AT_ONCE)
 
 
-def _policy(planner: str) -> tuple[Policy, Classifier | None]:
-    """The time allocation that ``--planner`` names, and the classifier that decides what it can fly, if any."""
-    if planner == "no-policy":
+def _policy(config: InterceptConfig) -> tuple[Policy, Classifier | None]:
+    """The time allocation that was asked for, and the classifier that decides what it can fly, if any."""
+    if config.policy is not None:
+        return load_policy(config.policy), None if config.classifier is None else load_classifier(config.classifier)
+    if config.planner in (None, "no-policy"):
         return constant_speed_policy(), None
-    return load_policy(planner), load_classifier("mfrl") if planner == "mfrl" else None
+    return load_policy(config.planner), load_classifier("mfrl") if config.planner == "mfrl" else None
 
 
 def _start(config: InterceptConfig, world: World, target: Target, padding: float) -> Float[np.ndarray, "3"]:

@@ -12,6 +12,8 @@ FLIGHT = "t,x,y,z\n0,-4,4,1\n5,0,4.3,1\n10,4,4,1\n"
 
 ENV1 = str(Path(jaxplan.__file__).parent / "prediction" / "models" / "env1.npy")
 
+MFRL = str(Path(jaxplan.__file__).parent / "policy" / "weights" / "mfrl.npz")
+
 LONG = "a" * 300
 CASES = {
     "unknown world": (["--world", "env9"], 10, "env9"),
@@ -22,6 +24,10 @@ CASES = {
     "missing target model": (["--predictor", "gmm", "--target-model", "absent.npy"], 11, "absent.json"),
     "text as target model": (["--predictor", "gmm", "--target-model", "text.npy"], 11, "text.json"),
     "target model of another room": (["--world", "env2", "--predictor", "gmm", "--target-model", ENV1], 10, "dt"),
+    "missing policy": (["--policy", "absent.npz"], 11, "absent.npz"),
+    "text as policy": (["--policy", "text.npy"], 11, "text.npy"),
+    "policy as classifier": (["--policy", MFRL, "--classifier", MFRL], 11, "holds a policy, want a classifier"),
+    "policy of another vehicle": (["--policy", MFRL, "--vehicle", "racer5"], 10, "was made for vehicle 'mfrl'"),
     "missing target": (["--target", "absent.csv"], 11, "absent.csv"),
     "target with nan": (["--target", "nan.csv"], 11, "line 3"),
     "target without z": (["--target", "short.csv"], 11, "z"),

@@ -45,6 +45,27 @@ def test_what_does_not_fit_the_vehicle_is_refused() -> None:
             InterceptConfig(**bad)
 
 
+def test_a_policy_of_ones_own_takes_the_place_of_the_shipped_ones() -> None:
+    """The shipped files by their paths: the same planner as by name, also where it decides what can be flown."""
+    folder = Path(jaxplan.__file__).parent
+    own = {
+        "policy": str(folder / "policy/weights/mfrl.npz"),
+        "classifier": str(folder / "feasibility/weights/mfrl.npz"),
+    }
+    goals = np.random.default_rng(1).uniform([-4.5, -4.5, 0.6], [4.5, 4.5, 1.4], (40, 3))
+    given = jaxplan.candidates_from(goals[0], goals, np.linspace(1.0, 4.0, 40), np.zeros(40))
+    found = []
+    for options in ({}, own, {"policy": own["policy"]}):
+        config = InterceptConfig(**options)
+        scenario = build_scenario(config)
+        assert with_a_planner(config, load_vehicle()).planner == (None if options else "mfrl")
+        plans = scenario.planner.plan_batch(scenario.start, given)
+        found.append((plans.reasons, np.asarray(plans.margins.probability)))
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    assert np.isfinite(found[1][1]).any()
+    assert np.isnan(found[2][1]).all(), "without a classifier the rotor limits decide"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FLOWN)
 def test_every_preset_meets_a_target(name: str) -> None:

@@ -221,6 +221,13 @@ USAGE = [
     (["intercept", "--start", "1", "2", "nan"], 10, "--start: have nan, want"),
     (["intercept", "--seed", "-1"], 10, "--seed: have -1, want"),
     (["intercept", "--target-model", "mine.npy"], 10, "--target-model: have 'mine.npy', want none unless"),
+    (["intercept", "--classifier", "mine.npz"], 10, "--classifier: have 'mine.npz', want none without --policy"),
+    (
+        ["intercept", "--policy", "mine.npz", "--planner", "mfrl"],
+        10,
+        "--planner: have 'mfrl', want none beside --policy",
+    ),
+    (["intercept", "--policy", ""], 10, "--policy: have '', want"),
     (["intercept", "--world", ""], 10, "--world: have '', want"),
     (["intercept", "--out", "/proc/jaxplan"], 12, "cannot write '/proc/jaxplan'"),
     (["intercept", "--out", "/dev/null/x"], 12, "cannot write '/dev/null/x'"),
@@ -253,7 +260,8 @@ def test_a_bad_jax_is_refused(
 def test_help_names_every_option(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.run(["intercept", "--help"]) == 0
     text = capsys.readouterr().out
-    options = "world target predictor target-model planner speed departure start seed out config require-success debug"
+    options = "world target predictor target-model planner policy classifier speed departure start seed out config"
+    options += " require-success debug"
     assert [name for name in options.split() if f"--{name}" not in text] == []
     assert "--empty" not in text
     assert "--no-" not in text.replace("no-policy", "")
