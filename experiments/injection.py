@@ -28,7 +28,7 @@ from jaxplan.world.obstacles import World
 from jaxplan.world.update import update_world, with_spare_boxes
 
 SENSOR = ("late", "lost", "noisy", "teleporting", "shuffled")
-TIME = ("slow", "clock")
+TIME = ("slow", "stalled", "clock")
 VEHICLE = ("gust", "push", "thrust loss")
 ROOM = ("box",)
 FAULTS = ("none", *SENSOR, *TIME, *VEHICLE, *ROOM)
@@ -40,6 +40,8 @@ NOISE, JUMP = 0.1, 5.0
 """m; standard deviation along each axis, and how far the target seems to jump."""
 SLOWEST = 0.5
 """s; the longest time that a cycle of a slow planner takes, the shortest is 0."""
+STALLS, LONGEST = 0.3, 2.0
+"""Share of its cycles in which a planner stalls, and s: how long at most; it does nothing else meanwhile."""
 BACKWARDS = 1.0
 """s; by which a clock goes back, once in ten cycles."""
 GUST, LACK, PUSH = 10.0, 0.25, 0.35
@@ -62,7 +64,7 @@ class Trouble:
         self._rng = np.random.default_rng(scenario.seed)
         self.event = scenario.departure + float(self._rng.uniform(*AFTER))
         """When a single event happens [s]."""
-        self._seconds = 0.0
+        self._seconds, self._busy_until = 0.0, -np.inf
         self._replanner = Replanner(
             scenario.planner, self._predict, scenario.start, ReplannerConfig(drop_late=True), self._clock
         )
@@ -111,7 +113,9 @@ class Trouble:
                 stream.add(now - before, self._scenario.target.position(np.array([now - before]))[0], now)
 
     def step(self, now: float, observations: Observations, measured: Measured | None = None) -> Cycle | None:
-        """One cycle of the replanner; None where it refuses a clock that went back."""
+        """One cycle of the replanner; None where it refuses a clock that went back, or is still at an earlier one."""
+        if now < self._busy_until:
+            return None
         if self.fault == "box" and self.world is None and now >= self.event:
             self._place_a_box(now)
         if self.fault == "clock" and self._rng.random() < 0.1 and self.ever_planned:
@@ -120,7 +124,10 @@ class Trouble:
             except InputError:
                 self.refused_clocks += 1
                 return None
-        return self._replanner.step(now, observations, measured)
+        began = self._seconds
+        cycle = self._replanner.step(now, observations, measured)
+        self._busy_until = now + self._seconds - began if self.fault == "stalled" else -np.inf
+        return cycle
 
     def disturbed(self) -> Scenario:
         """What is flown: with another plant where the fault is the vehicle's."""
@@ -143,6 +150,8 @@ class Trouble:
         """The scenario's prediction, which takes its time where the planner is slow."""
         if self.fault == "slow":
             self._seconds += float(self._rng.uniform(0.0, SLOWEST))
+        if self.fault == "stalled" and self._rng.random() < STALLS:
+            self._seconds += float(self._rng.uniform(0.0, LONGEST))
         return self._scenario.predictor(observations, cycle)
 
     def _clock(self) -> float:

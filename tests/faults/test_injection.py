@@ -11,7 +11,10 @@ import pytest
 from experiments import closed_loop, faults, injection
 from experiments.closed_loop import EpisodeConfig
 from experiments.injection import Trouble
+from jaxplan import interception
 from jaxplan.prediction.stream import ObservationStream
+from jaxplan.status import PlanStatus
+from tolerances import tolerance
 
 EPISODE = EpisodeConfig(
     world="env1", planner="no-policy", predictor="constant-velocity", target="env1-01", speed=2.0, departure=0.5, seed=3
@@ -70,6 +73,21 @@ def test_what_is_told_again_changes_nothing() -> None:
 def test_the_same_seed_does_the_same_and_another_does_not() -> None:
     assert np.array_equal(seen("noisy")[1], seen("noisy")[1])
     assert not np.array_equal(seen("noisy")[1], seen("noisy", seed=4)[1])
+
+
+def test_a_stalled_planner_does_nothing_until_it_is_done() -> None:
+    """Cycles fall out while it is at an earlier one, whose plan is dropped; the reference never jumps."""
+    base = dataclasses.replace(closed_loop.scenario_of(EPISODE), seed=3)
+    trouble = Trouble(base, "stalled")
+    flown = interception.fly(trouble.disturbed(), guide=trouble, watch=trouble.watch)
+    times = np.array([cycle.time for cycle in flown.cycles])
+    late = np.array([cycle.status is PlanStatus.LATE for cycle in flown.cycles])
+    gaps = np.diff(times)
+    assert gaps.max() > 0.35
+    assert late.any()
+    assert gaps[late[:-1]].min() > base.replanning.latency
+    assert gaps.max() <= injection.LONGEST + 0.1 + 1e-9
+    assert max(cycle.jump[:4].max() for cycle in flown.cycles if cycle.jump is not None) < tolerance("solve")["atol"]
 
 
 @pytest.mark.slow
