@@ -4,11 +4,11 @@
 
 Table I's episodes are flown with one fault each: sensors (late by 0.3 s, half of it lost, noisy by 0.1 m, jumping by
 5 m, told again and out of order), time (cycles of up to 0.5 s, whose late plans are dropped, stalls of up to 2 s, a
-clock that goes back), the vehicle (a gust of 10 m/s, moved by 0.35 m, a rotor at 75 %), the room (a box on the committed
-path, beyond a stop). The vehicle is measured in every cycle, and lost 1 m or a right angle about body z off its
-reference. An episode hits something where its plant comes closer than its radius to an obstacle, or to a box from when
-it appears, which is ``avoidable`` if a stop was clear from where the vehicle was when a plan could first take over after
-the event; ``reference_hits`` counts commanded positions that come closer.
+clock that goes back), the vehicle (a gust of 10 m/s, moved by 0.35 m, a rotor at 75 %), the room (a box on the
+committed path, beyond a stop). The vehicle is measured in every cycle, and lost 1 m or a right angle about body z off
+its reference. An episode hits something where its plant comes closer than its radius to an obstacle, or to a box from
+when it appears, which is ``avoidable`` if a stop was clear from where the vehicle was when a plan could first take
+over after the event; ``reference_hits`` counts commanded positions that come closer.
 """
 
 import dataclasses
