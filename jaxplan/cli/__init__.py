@@ -17,6 +17,7 @@ from cyclopts import App, CycloptsError
 
 from jaxplan.cli.bench import bench
 from jaxplan.cli.experiment import experiment
+from jaxplan.cli.export import export
 from jaxplan.cli.intercept import from_saved, intercept
 from jaxplan.cli.parameters import DEFAULT_PARAMETER
 from jaxplan.cli.train import train
@@ -39,7 +40,7 @@ app = App(
     suppress_keyboard_interrupt=False,
 )
 app.command(intercept, config=from_saved)
-for command in (world, vehicle, bench, train):
+for command in (export, world, vehicle, bench, train):
     app.command(command)
 app.command(experiment, help_flags=[], version_flags=[])
 

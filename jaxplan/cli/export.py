@@ -1,0 +1,63 @@
+"""``jaxplan export``: what was planned, in the formats that other programs fly."""
+
+import os
+from pathlib import Path
+from typing import Literal
+
+
+def export(
+    source: Path,
+    *,
+    format: Literal["crazyswarm", "poly4d", "mav-trajectory-generation", "setpoints"],
+    out: Path,
+    plan: int | None = None,
+    frame: Literal["enu", "ned"] = "enu",
+    rate: float = 100.0,
+    tolerance: float = 1e-3,
+    debug: bool = False,
+) -> int:
+    """Write a committed plan, or all that was commanded in a flight, for other programs.
+
+    Parameters
+    ----------
+    source
+        The folder of an interception, or its plans.npz.
+    format
+        crazyswarm: CSV of degree 7, as uav_trajectories; poly4d: a Crazyflie's trajectory memory;
+        mav-trajectory-generation: its YAML; setpoints: CSV of position to jerk and yaw.
+    out
+        The file.
+    plan
+        Number of one committed plan, from 0; -1 is the last. Default: the whole flight, from plan to plan.
+    frame
+        enu: as planned, x east, y north, z up; ned: north, east, down.
+    rate
+        Setpoints a second.
+    tolerance
+        How far [m] a trajectory of degree 7 may be from the planned one.
+    debug
+        Show the traceback of an error.
+    """
+    from jaxplan.errors import InputError
+    from jaxplan.files import cannot_write, write_atomically
+    from jaxplan.io.export import ExportConfig, export_trajectory
+    from jaxplan.io.plans import commanded, read_plans
+
+    if not os.path.isdir(out.parent):
+        raise InputError(f"--out: have {str(out)!r}, want a file in a folder that exists; correct it")
+    plans = read_plans(source)
+    if not plans:
+        raise InputError(f"{source}: holds no plan, nothing was committed in that flight; choose another one")
+    if plan is not None and not -len(plans) <= plan < len(plans):
+        raise InputError(f"--plan: have {plan}, want -{len(plans)} to {len(plans) - 1}")
+    start, spline = commanded(plans) if plan is None else plans[plan]
+    found = export_trajectory(spline, format, ExportConfig(frame, rate, tolerance))
+    try:
+        write_atomically(out, found.content)
+    except OSError as error:
+        raise cannot_write(out, error) from error
+    what = "samples" if format == "setpoints" else "pieces"
+    size = f"{found.pieces} {what}, {len(found.content)} bytes"
+    print(f"{out}: {float(spline.duration):.3f} s from {start:.3f} s on, {size}")
+    print(f"off by at most {found.error:.1e} m")
+    return 0
