@@ -15,6 +15,10 @@ Meet = Literal["pass", "rest", "match"]
 MEETINGS: tuple[Meet, ...] = get_args(Meet)
 Heading = Literal["hold", "path", "target"]
 HEADINGS: tuple[Heading, ...] = get_args(Heading)
+TimeUnit = Literal["s", "ms", "us", "ns"]
+TIME_UNITS: tuple[TimeUnit, ...] = get_args(TimeUnit)
+Frame = Literal["enu", "ned"]
+FRAMES: tuple[Frame, ...] = get_args(Frame)
 Allocate = Literal["policy", "profile", "both"]
 ALLOCATIONS: tuple[Allocate, ...] = get_args(Allocate)
 
@@ -36,6 +40,15 @@ class InterceptConfig:
 
     target: str | None = None
     """A stored trajectory, or a recorded flight: t,x,y,z or timestamp tx ty tz. Default: the world's first."""
+
+    time_unit: TimeUnit | None = None
+    """What the times of a recorded flight are counted in. Default: what its header says, or seconds."""
+
+    frame: Frame | None = None
+    """Axes of a recorded flight: enu, z up; ned, north, east, down. Default: z up."""
+
+    columns: tuple[str, str, str, str] | None = None
+    """Time, x, y and z of a recorded flight, by name or by number from 1. Default: found by their names."""
 
     predictor: Predictor = "ground-truth"
     """How the target's future is predicted."""
@@ -96,6 +109,7 @@ class InterceptConfig:
         _require_name("out", self.out)
         if self.target is not None:
             _require_name("target", self.target)
+        self._validate_log()
         _require_choice("predictor", self.predictor, PREDICTORS)
         if self.target_model is not None:
             _require_name("target-model", self.target_model)
@@ -118,6 +132,18 @@ class InterceptConfig:
         _require_start(self.start)
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < 2**32:
             raise _refusal("seed", self.seed, "a whole number from 0 to 4294967295")
+
+    def _validate_log(self) -> None:
+        """Raise ``InputError`` for words about a recorded flight that mean nothing."""
+        if self.time_unit is not None:
+            _require_choice("time-unit", self.time_unit, TIME_UNITS)
+        if self.frame is not None:
+            _require_choice("frame", self.frame, FRAMES)
+        if self.columns is not None:
+            if not isinstance(self.columns, tuple | list) or len(self.columns) != 4:
+                raise _refusal("columns", self.columns, "four: time, x, y and z")
+            for name in self.columns:
+                _require_name("columns", name)
 
     def _validate_own(self) -> None:
         """Raise ``InputError`` for files of one's own that do not fit together."""

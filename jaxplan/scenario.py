@@ -13,6 +13,7 @@ from jaxplan.config import InterceptConfig
 from jaxplan.errors import InputError
 from jaxplan.feasibility.checkpoint import load_classifier
 from jaxplan.feasibility.classifier import Classifier
+from jaxplan.io.log_columns import LogFormat
 from jaxplan.io.targets import Target, load_target
 from jaxplan.planner import Planner, PlannerConfig, build_planner
 from jaxplan.policy.checkpoint import load_policy
@@ -93,7 +94,8 @@ def build_scenario(config: InterceptConfig, *, exhaustive: bool = False, planner
     world = load_world(config.world)
     vehicle = load_vehicle(config.vehicle)
     config = with_a_planner(config, vehicle)
-    target = load_target(config.target, world=world.name, speed=config.speed)
+    how = LogFormat(config.time_unit, config.frame, config.columns)
+    target = load_target(config.target, world=world.name, speed=config.speed, log=how)
     distance = _distance_in(world)
     planning = planner_config(config, exhaustive)
     _check_target(target, world, distance)
@@ -187,8 +189,18 @@ def _check_target(target: Target, world: World, distance: DistanceFunction) -> N
         where = ", ".join(f"{value:.2f}" for value in target.position(times[first : first + 1])[0])
         raise InputError(
             f"target {target.name!r}: at t = {times[first]:.2f} s it is at ({where}) m, outside world {world.name!r} "
-            "or inside an obstacle; give a target that flies in this world"
+            f"or inside an obstacle; give a target that flies in this world{_suspicion(target, distance)}"
         )
+
+
+def _suspicion(target: Target, distance: DistanceFunction) -> str:
+    """What the numbers of a target may be instead of metres with z up, if that would be in this world."""
+    positions = target.position(np.linspace(0.0, target.duration, 50))
+    if (distance(positions[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0])) > 0.0).all():
+        return "; its numbers look like north, east, down: --frame ned"
+    if (distance(1e-3 * positions) > 0.0).all():
+        return "; its numbers look like millimetres: write so into the header, as x [mm]"
+    return ""
 
 
 def check_padding(padding: float, vehicle: Vehicle) -> None:

@@ -7,19 +7,18 @@ x to the east that is ``enu``. ``ned`` is north, east, down with yaw clockwise f
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from jaxplan.config import FRAMES, Frame
 from jaxplan.errors import FileError, InputError
 from jaxplan.files import read_limited
 from jaxplan.io.septic import SIZE, as_septic
 from jaxplan.spline import PiecewisePolynomial
 from jaxplan.validation import as_finite
 
-Frame = Literal["enu", "ned"]
-FRAMES: tuple[Frame, ...] = get_args(Frame)
 MEMORY_PIECES = 31
 """Pieces in a Crazyflie's trajectory memory: 4096 bytes of 132 each."""
 _PIECE = np.dtype([("coefficients", "<f4", (4, SIZE)), ("duration", "<f4")])

@@ -1,27 +1,25 @@
 """Recorded flights of a target: ``t,x,y,z`` or ``timestamp tx ty tz``, comma, semicolon or space separated.
 
-A header is optional, ``#`` starts a comment, further columns (TUM's quaternion) are ignored. What cannot be
-used is an error that names the line; what can be used but deserves a look is in the log's ``report``.
+A header is optional (``log_columns`` knows many), ``#`` starts a comment, further columns (TUM's quaternion) are
+ignored. What cannot be used is an error that names the line; what can be used but deserves a look is in the log's
+``report``. Large files are read at NumPy's speed, and once more line by line where something is wrong.
 """
 
 import os
-from collections.abc import Iterator
+import warnings
+from array import array
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import PchipInterpolator
 
 from jaxplan.errors import FileError, InputError
+from jaxplan.io.log_columns import WANT, Layout, LogFormat, layout_of
 
-_NAMES = {
-    "time": ("t", "time", "timestamp", "stamp", "sec", "seconds"),
-    "x": ("x", "tx", "px", "p_x", "pos_x"),
-    "y": ("y", "ty", "py", "p_y", "pos_y"),
-    "z": ("z", "tz", "pz", "p_z", "pos_z"),
-}
-_WANT = "want t,x,y,z or timestamp tx ty tz in seconds and metres"
 _LARGEST_FILE = 256 * 2**20
 _MOST_SAMPLES = 10_000_000
 _GAP_FACTOR = 5.0
@@ -29,7 +27,10 @@ _GAP_FACTOR = 5.0
 _JUMP_SPEED = 30.0
 """m/s; a step faster than this is a jump: no multirotor this library is for flies it (arbitrary)."""
 _LONGEST_INTERVAL = 10.0
-"""s; a median interval above it means that the times are not seconds (arbitrary)."""
+"""s; a longer median interval means that the times are not seconds, unless their unit is stated (arbitrary)."""
+_SLOW_INTERVAL, _SLOW = 0.99, 0.02
+"""s and m/s; so does one that is longer than the first, of a target that is mostly slower than the second (arbitrary):
+100 samples a second in milliseconds look like 10 s apart."""
 
 
 @dataclass(frozen=True)
@@ -82,16 +83,29 @@ class TargetLog:
     report: LogReport
 
 
-def read_target_log(path: str | Path) -> TargetLog:
+def read_target_log(path: str | Path, how: LogFormat | None = None) -> TargetLog:
     """Read a recorded flight; raises ``FileError`` naming the line where it cannot be used."""
-    path = Path(path)
-    rows = list(_rows(_text(path)))
-    if not rows:
-        raise FileError(f"target file {str(path)!r}: have no data, {_WANT}")
-    columns, rows = _columns(path, rows)
-    table = np.array([_numbers(path, number, fields, columns) for number, fields in rows], dtype=float)
-    _check_times(path, table.reshape(-1, 4)[:, 0], [number for number, _ in rows])
-    return target_log(table[:, 0], table[:, 1:])
+    path, how = Path(path), how or LogFormat()
+    _check_file(path)
+    with _opened(path) as stream:
+        number, first = next(_rows(path, stream), (0, []))
+        if not first:
+            raise FileError(f"target file {str(path)!r}: have no data, {WANT}")
+        header = None if any(_is_number(field) for field in first) else first
+        try:
+            layout = layout_of(header, how)
+        except InputError as error:
+            raise FileError(f"target file {str(path)!r}, line {number}: {error}") from error
+    skipped = number if header else number - 1
+    table = _at_once(path, layout, skipped)
+    if table is None:
+        table = _line_by_line(path, layout, skipped)
+    seconds, metres = table[:, 0] * layout.scales[0], table[:, 1:] * layout.scales[1:]
+    if not layout.unit_stated:
+        _check_seconds(path, seconds, metres)
+    if how.frame == "ned":
+        metres = metres[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
+    return target_log(seconds, metres)
 
 
 def target_log(times: Float[np.ndarray, "n"], positions: Float[np.ndarray, "n 3"]) -> TargetLog:
@@ -129,58 +143,89 @@ def resample(log: TargetLog, dt: float) -> TargetLog:
     return TargetLog(times=times, positions=positions, report=log.report)
 
 
-def _text(path: Path) -> str:
+def _check_file(path: Path) -> None:
     if not os.path.exists(path):
         raise FileError(f"target file {str(path)!r} does not exist; give a stored target's name or a file's path")
     if not os.path.isfile(path):
-        raise FileError(f"target file {str(path)!r} is not a regular file; {_WANT}")
+        raise FileError(f"target file {str(path)!r} is not a regular file; {WANT}")
+    if path.stat().st_size > _LARGEST_FILE:
+        raise FileError(f"target file {str(path)!r} has more than {_LARGEST_FILE >> 20} MiB; cut or thin it first")
+
+
+def _check_seconds(path: Path, seconds: Float[np.ndarray, "n"], metres: Float[np.ndarray, "n 3"]) -> None:
+    """Raise for times that are hardly seconds, where nobody says what they are."""
+    interval = float(np.median(np.diff(seconds)))
+    speed = float(np.median(np.linalg.norm(np.diff(metres, axis=0), axis=1) / np.diff(seconds)))
+    if interval > _LONGEST_INTERVAL or (interval > _SLOW_INTERVAL and speed < _SLOW):
+        raise FileError(
+            f"target file {str(path)!r}: samples are {interval:.9g} s apart and the target flies {speed:.2g} m/s; want "
+            "times in seconds, these look like milli-, micro- or nanoseconds; give --time-unit"
+        )
+
+
+def _opened(path: Path) -> TextIO:
     try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise FileError(f"target file {str(path)!r} has more than {_LARGEST_FILE >> 20} MiB; cut or thin it first")
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise FileError(f"target file {str(path)!r} is not text (byte {error.start}); {_WANT}") from error
+        return path.open(encoding="utf-8-sig", newline=None)
     except OSError as error:
         raise FileError(f"target file {str(path)!r} cannot be read: {error.strerror}") from error
-    if "\0" in text:
-        raise FileError(f"target file {str(path)!r} is not text (byte {text.index(chr(0))}); {_WANT}")
-    return text
 
 
-def _rows(text: str) -> Iterator[tuple[int, list[str]]]:
+def _rows(path: Path, stream: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
     """Line number (from 1) and fields of every line that holds something."""
-    for number, line in enumerate(text.splitlines(), start=1):
-        content = line.split("#", 1)[0].strip()
-        separator = next((mark for mark in ",;" if mark in content), None)
-        fields = [field.strip().strip("\"'") for field in content.split(separator)]
-        while fields and not fields[-1]:
-            fields.pop()
-        if fields:
-            yield number, fields
+    try:
+        for number, line in enumerate(stream, start=1):
+            if "\0" in line:
+                raise FileError(f"target file {str(path)!r} is not text (line {number}); {WANT}")
+            content = line.split("#", 1)[0].strip()
+            separator = _separator(content)
+            fields = [field.strip().strip("\"'") for field in content.split(separator)]
+            while fields and not fields[-1]:
+                fields.pop()
+            if fields:
+                yield number, fields
+    except UnicodeDecodeError as error:
+        raise FileError(f"target file {str(path)!r} is not text (byte {error.start}); {WANT}") from error
 
 
-def _columns(path: Path, rows: list[tuple[int, list[str]]]) -> tuple[list[int], list[tuple[int, list[str]]]]:
-    """Where time, x, y and z are, and the rows without the header."""
-    number, first = rows[0]
-    if any(_is_number(field) for field in first):
-        return [0, 1, 2, 3], rows
-    names = [field.split("[")[0].split("(")[0].strip().lower() for field in first]
-    found = {wanted: [i for i, name in enumerate(names) if name in known] for wanted, known in _NAMES.items()}
-    missing = [wanted for wanted, places in found.items() if not places]
-    if missing:
-        have = ", ".join(first)[:80]
-        raise FileError(
-            f"target file {str(path)!r}, line {number}: no column for {', '.join(missing)}; have {have!r}, {_WANT}"
-        )
-    if len(rows) == 1:
-        raise FileError(f"target file {str(path)!r}: have a header and no data, {_WANT}")
-    return [places[0] for places in found.values()], rows[1:]
+def _separator(content: str) -> str | None:
+    """What stands between the fields of a line; None for white space."""
+    return next((mark for mark in ",;" if mark in content), None)
 
 
-def _numbers(path: Path, number: int, fields: list[str], columns: list[int]) -> list[float]:
+def _at_once(path: Path, layout: Layout, skipped: int) -> Float[np.ndarray, "n 4"] | None:
+    """All numbers by NumPy's reader; None where it stumbles, or where they are not what they should be."""
+    try:
+        with _opened(path) as stream, warnings.catch_warnings():
+            warnings.simplefilter("error")  # that there is nothing
+            for _ in range(skipped):
+                stream.readline()
+            begin = stream.tell()
+            separator = _separator(stream.readline())
+            stream.seek(begin)
+            table = np.loadtxt(stream, float, comments="#", delimiter=separator, usecols=layout.places, ndmin=2)
+    except (ValueError, OSError, UserWarning):
+        return None
+    good = len(table) >= 2 and np.isfinite(table).all() and (np.diff(table[:, 0]) > 0.0).all()
+    return table if good else None
+
+
+def _line_by_line(path: Path, layout: Layout, skipped: int) -> Float[np.ndarray, "n 4"]:
+    """The same, slower, with the line named that cannot be used."""
+    values, lines = array("d"), array("q")
+    with _opened(path) as stream:
+        for number, fields in _rows(path, stream):
+            if number > skipped:
+                values.extend(_numbers(path, number, fields, layout.places))
+                lines.append(number)
+    table = np.frombuffer(values, float).reshape(-1, 4).copy()
+    _check_times(path, table[:, 0], lines, bool(skipped))
+    return table
+
+
+def _numbers(path: Path, number: int, fields: list[str], columns: tuple[int, ...]) -> list[float]:
     place = f"target file {str(path)!r}, line {number}"
     if len(fields) <= max(columns):
-        raise FileError(f"{place}: have {len(fields)} columns, want at least {max(columns) + 1}; {_WANT}")
+        raise FileError(f"{place}: have {len(fields)} columns, want at least {max(columns) + 1}; {WANT}")
     values = []
     for column in columns:
         field = fields[column]
@@ -201,7 +246,9 @@ def _is_number(field: str) -> bool:
     return True
 
 
-def _check_times(path: Path, times: Float[np.ndarray, "n"], lines: list[int]) -> None:
+def _check_times(path: Path, times: Float[np.ndarray, "n"], lines: "array[int]", headed: bool) -> None:
+    if len(times) == 0 and headed:
+        raise FileError(f"target file {str(path)!r}: have a header and no data, {WANT}")
     if len(times) < 2:
         raise FileError(f"target file {str(path)!r}: have {len(times)} sample, want at least 2")
     wrong = np.flatnonzero(~(np.diff(times) > 0.0))
@@ -209,11 +256,6 @@ def _check_times(path: Path, times: Float[np.ndarray, "n"], lines: list[int]) ->
         i = int(wrong[0])
         what = "repeats" if times[i + 1] == times[i] else "goes backwards"
         raise FileError(
-            f"target file {str(path)!r}, line {lines[i + 1]}: the time {what}, have {times[i + 1]:.9g} s "
-            f"after {times[i]:.9g} s; sort the file and remove repeated samples"
-        )
-    if np.median(np.diff(times)) > _LONGEST_INTERVAL:
-        raise FileError(
-            f"target file {str(path)!r}: samples are {np.median(np.diff(times)):.9g} s apart; "
-            "want times in seconds, these look like milliseconds or nanoseconds"
+            f"target file {str(path)!r}, line {lines[i + 1]}: the time {what}, have {times[i + 1]:.9g} "
+            f"after {times[i]:.9g}; sort the file and remove repeated samples"
         )

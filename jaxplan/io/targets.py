@@ -14,6 +14,7 @@ from jaxtyping import Float
 from scipy.interpolate import PchipInterpolator
 
 from jaxplan.errors import InputError
+from jaxplan.io.log_columns import LogFormat
 from jaxplan.io.target_log import read_target_log, resample
 from jaxplan.minsnap.single import minimum_snap
 from jaxplan.spline import PiecewisePolynomial
@@ -70,15 +71,18 @@ def stored_targets(world: str) -> list[str]:
     return list(json.loads(path.read_text())["trajectories"]) if os.path.isfile(path) else []
 
 
-def load_target(name_or_path: str | None, *, world: str, speed: float | None = None) -> Target:
+def load_target(
+    name_or_path: str | None, *, world: str, speed: float | None = None, log: LogFormat | None = None
+) -> Target:
     """A stored trajectory of ``world`` by name (its first when None), or a recorded flight by path.
 
     Args:
         speed: maximum speed [m/s] after time-scaling; 1 m/s for stored trajectories and as recorded for flights
             when None.
+        log: what a recorded flight's file does not say of itself.
 
     Raises:
-        InputError: the name is unknown, the speed is not positive, or the target never moves.
+        InputError: the name is unknown, or says all of itself, the speed is not positive, or the target never moves.
         FileError: the file cannot be used.
     """
     names = stored_targets(world)
@@ -86,13 +90,15 @@ def load_target(name_or_path: str | None, *, world: str, speed: float | None = N
         raise InputError(f"target: the speed is {speed} m/s, want a positive number")
     if name_or_path is None and not names:
         raise InputError(f"target: world {world!r} has no stored trajectories; give --target a recorded flight")
+    if (name_or_path is None or name_or_path in names) and log not in (None, LogFormat()):
+        raise InputError("--time-unit, --frame and --columns say how a recorded flight is read; give --target a file")
     if name_or_path is None or name_or_path in names:
         return _stored(world, name_or_path or names[0], DEFAULT_SPEED if speed is None else speed)
     path = Path(name_or_path)
     if not path.suffix and not os.path.exists(path):
         known = f"want one of {', '.join(names)} or a file" if names else "want a file"
         raise InputError(f"target: unknown name {name_or_path!r}, {known}")
-    return _recorded(path, speed)
+    return _recorded(path, speed, log)
 
 
 def target_spline(waypoints: Float[np.ndarray, "n 3"], durations: Float[np.ndarray, "m"]) -> PiecewisePolynomial:
@@ -115,8 +121,8 @@ def _stored(world: str, name: str, speed: float) -> Target:
     return _scaled(name, float(spline.duration), motion, speed, ())
 
 
-def _recorded(path: Path, speed: float | None) -> Target:
-    log = read_target_log(path)
+def _recorded(path: Path, speed: float | None, how: LogFormat | None) -> Target:
+    log = read_target_log(path, how)
     even = resample(log, min(_LOG_INTERVAL, log.report.duration / 2.0))
     curve = PchipInterpolator(even.times - even.times[0], even.positions, axis=0)
     duration = float(even.times[-1] - even.times[0])

@@ -260,8 +260,8 @@ def test_a_bad_jax_is_refused(
 def test_help_names_every_option(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.run(["intercept", "--help"]) == 0
     text = capsys.readouterr().out
-    options = "world target predictor target-model planner policy classifier speed departure start seed out config"
-    options += " require-success debug"
+    options = "world target time-unit frame columns predictor target-model planner policy classifier speed departure"
+    options += " start seed out config require-success debug"
     assert [name for name in options.split() if f"--{name}" not in text] == []
     assert "--empty" not in text
     assert "--no-" not in text.replace("no-policy", "")

@@ -1,6 +1,7 @@
 """Recorded flights: what is accepted, what is refused, and in which words."""
 
 import os
+import time
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxplan.errors import FileError, InputError
+from jaxplan.io.log_columns import LogFormat
 from jaxplan.io.target_log import read_target_log, resample, target_log
 from tolerances import tolerance
 
@@ -56,7 +58,7 @@ BAD = {
     "missing z": ("t,x,y\n0,0,0\n", "line 1: no column for z"),
     "missing time": ("x,y,z,w\n0,0,0,1\n", "no column for time"),
     "prose": ("hello world\nthis is prose\n", "no column for time, x, y, z"),
-    "backwards": (ROW + "1,0,0,1\n0.5,0,0,1\n", "line 3: the time goes backwards, have 0.5 s after 1 s"),
+    "backwards": (ROW + "1,0,0,1\n0.5,0,0,1\n", "line 3: the time goes backwards, have 0.5 after 1;"),
     "repeated": ("t,x,y,z\n" + ROW + ROW, "line 3: the time repeats"),
     "nanoseconds": ("1000000000,0,0,1\n1100000000,0,0,1\n", "want times in seconds"),
 }
@@ -92,6 +94,100 @@ def test_columns_are_found_by_name(tmp_path: Path) -> None:
     log = read_target_log(path)
     assert log.times.tolist() == [0.0, 1.0]
     assert log.positions.tolist() == [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
+
+
+FLIGHT = np.column_stack([TIMES, POSITIONS])
+HEADERS = {
+    "milliseconds in the header": ("t [ms],x [mm],y,z (cm)", [1e3, 1e3, 1.0, 100.0]),
+    "units behind underscores": ("time_us,x_mm,y_m,z", [1e6, 1e3, 1.0, 1.0]),
+    "a ROS topic": ("%time,field.pose.position.x,field.pose.position.y,field.pose.position.z", [1e9, 1, 1, 1]),
+    "a ROS topic by its stamp": ("field.header.stamp,pose.position.x,pose.position.y,pose.position.z", [1e9, 1, 1, 1]),
+    "PlotJuggler": ("__time,/odom/pose/pose/position/x,/odom/pose/pose/position/y,/odom/pose/pose/position/z", [1] * 4),
+    "cflib": ("timestamp,stateEstimate.x,stateEstimate.y,stateEstimate.z", [1e3, 1, 1, 1]),
+    "feet": ("t,x [ft],y [ft],z [ft]", [1.0, 1 / 0.3048, 1 / 0.3048, 1 / 0.3048]),
+}
+
+
+def written(path: Path, header: str, scales: list[float], columns: np.ndarray = FLIGHT) -> Path:
+    rows = ("\n" if header else "").join(["", *(",".join(f"{v:.9f}" for v in row) for row in columns * scales)])
+    path.write_text(header + rows if header else "\n".join(",".join(map(str, row)) for row in columns * scales))
+    return path
+
+
+@pytest.mark.parametrize("name", HEADERS)
+def test_what_a_header_says_counts(tmp_path: Path, name: str) -> None:
+    log = read_target_log(written(tmp_path / "flight.csv", *HEADERS[name]))
+    np.testing.assert_allclose(log.times, TIMES, **tolerance("solve"))
+    np.testing.assert_allclose(log.positions, POSITIONS, **tolerance("solve"))
+
+
+def test_velocities_are_no_positions(tmp_path: Path) -> None:
+    header = "t,twist.linear.x,twist.linear.y,twist.linear.z,pose.position.x,pose.position.y,pose.position.z"
+    columns = np.column_stack([TIMES, 9.0 + POSITIONS, POSITIONS])
+    log = read_target_log(written(tmp_path / "flight.csv", header, [1.0] * 7, columns))
+    np.testing.assert_allclose(log.positions, POSITIONS, **tolerance("solve"))
+
+
+def test_what_the_file_does_not_say_can_be_told(tmp_path: Path) -> None:
+    path = tmp_path / "flight.csv"
+    long = np.column_stack([10.0 + 0.01 * np.arange(50), 0.01 * np.arange(50)[:, None] * np.array([1.0, 0.0, -1.0])])
+    with pytest.raises(FileError, match="give --time-unit"):
+        read_target_log(written(path, "t,x,y,z", [1e3, 1, 1, 1], long))
+    log = read_target_log(path, LogFormat(time_unit="ms"))
+    np.testing.assert_allclose(log.times, long[:, 0], **tolerance("solve"))
+    written(path, "", [1.0, 1.0, 1.0, 1.0])
+    ned = read_target_log(path, LogFormat(frame="ned"))
+    np.testing.assert_allclose(ned.positions, POSITIONS[:, [1, 0, 2]] * [1.0, 1.0, -1.0], **tolerance("solve"))
+    shuffled = read_target_log(path, LogFormat(columns=("1", "3", "2", "4")))
+    np.testing.assert_allclose(shuffled.positions, POSITIONS[:, [1, 0, 2]], **tolerance("solve"))
+    written(path, "when [ms],east,north,height", [1e3, 1, 1, 1])
+    named = read_target_log(path, LogFormat(columns=("when", "east", "north", "Height")))
+    np.testing.assert_allclose(named.times, TIMES, **tolerance("solve"))
+    np.testing.assert_allclose(named.positions, POSITIONS, **tolerance("solve"))
+
+
+def test_px4_is_known_by_its_columns_and_its_axes_are_asked_for(tmp_path: Path) -> None:
+    path = written(tmp_path / "px4.csv", "timestamp,x,y,z,xy_valid", [1e6, 1, 1, 1, 1], np.c_[FLIGHT, np.ones(4)])
+    with pytest.raises(FileError, match="north-east-down; give --frame ned"):
+        read_target_log(path)
+    log = read_target_log(path, LogFormat(frame="ned"))
+    np.testing.assert_allclose(log.times, TIMES, **tolerance("solve"))
+    np.testing.assert_allclose(log.positions[:, 2], -POSITIONS[:, 2], **tolerance("solve"))
+
+
+@pytest.mark.parametrize(
+    ("content", "how", "said"),
+    [
+        ("t [days],x,y,z\n0,0,0,1\n1,1,0,1\n", {}, "column 1 is in 'days'"),
+        ("t,x [inch],y,z\n0,0,0,1\n1,1,0,1\n", {}, "column 2 is in 'inch'"),
+        ("t,x,y,z\n0,0,0,1\n1,1,0,1\n", {"columns": ("t", "x", "y", "w")}, "--columns: have 'w'"),
+        ("0,0,0,1\n1,1,0,1\n", {"columns": ("t", "x", "y", "z")}, "no header"),
+        ("0,0,0,1\n1,1,0,1\n", {"columns": ("1", "2", "3", "9")}, "want at least 9"),
+    ],
+)
+def test_what_cannot_be_understood_is_refused(tmp_path: Path, content: str, how: dict, said: str) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text(content)
+    with pytest.raises(FileError, match=said):
+        read_target_log(path, LogFormat(**how))
+    for bad in ({"time_unit": "h"}, {"frame": "nwu"}):
+        with pytest.raises(InputError):
+            LogFormat(**bad)
+
+
+def test_a_large_file_is_read_at_once(tmp_path: Path) -> None:
+    """A tenth of a million lines in well under a second; where one is bad, that one is named."""
+    count = 100_000
+    path = tmp_path / "long.csv"
+    rows = [f"{0.001 * i:.4f},{0.001 * i % 5:.4f},1,2" for i in range(count)]
+    path.write_text("t,x,y,z\n" + "\n".join(rows))
+    began = time.perf_counter()
+    assert len(read_target_log(path).times) == count
+    assert time.perf_counter() - began < 2.0
+    rows[77_777] = "77.777,lost,1,2"
+    path.write_text("t,x,y,z\n" + "\n".join(rows))
+    with pytest.raises(FileError, match=f"line {77_779}, column 2: have 'lost'"):
+        read_target_log(path)
 
 
 def test_things_that_are_not_text_files(tmp_path: Path) -> None:
