@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from jaxplan.batching import at_fixed_width, pick
 from jaxplan.knots import MAX_WAYPOINTS
 from jaxplan.planner.border import usual_spline, usual_state
-from jaxplan.planner.parts import Parts
+from jaxplan.planner.parts import Members, Parts
 from jaxplan.planner.records import Stops
 from jaxplan.planner.stations import Routes, Trajectories, shortened
 from jaxplan.spline import FlatState, PiecewisePolynomial
@@ -69,7 +69,7 @@ def brake(parts: Parts, state: FlatState, along: PiecewisePolynomial | None = No
     durations = np.where(segments < legs, times / legs, 0.0)
     least = parts.config.checks.least_probability
 
-    def check(some: Int[np.ndarray, "n"]) -> Trajectories:
+    def check(some: Members) -> Trajectories:
         solved = parts.stations.solve(state, pick(routes, some), durations[:, some], start[:, 0], least)
         return parts.stations.clear_finely(parts.world, solved)
 

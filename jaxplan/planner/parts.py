@@ -27,6 +27,13 @@ GOALS_AT_ONCE = 512
 """Candidates that are looked at before the search in one call: little work each (arbitrary)."""
 
 
+Members = Int[np.ndarray, "n"]
+"""Numbers of candidates. It has a name, as those below, because what annotates a function within another one is made
+anew in each call, and what jaxtyping makes lies in a cycle until it is collected."""
+_Reasons = UInt32[AnyArray, "n"]
+_Times = Float[AnyArray, "m n"]
+
+
 class Allocation(NamedTuple):
     """Who allots times, and what is asked of trajectories with them."""
 
@@ -66,7 +73,7 @@ class Parts(NamedTuple):
         if len(goals) == 0:
             return reasons.copy()
 
-        def mark(members: Int[np.ndarray, "n"]) -> UInt32[AnyArray, "n"]:
+        def mark(members: Members) -> _Reasons:
             some = Candidates(
                 goals=goals[members],
                 arrival_times=times[members],
@@ -106,7 +113,7 @@ class Parts(NamedTuple):
             behind = stop_points(self.lattices, self.world, paths, velocities)
             stops = np.where(passing[:, None], behind[member], stops)
 
-        def place(some: Int[np.ndarray, "n"]) -> Routes:
+        def place(some: Members) -> Routes:
             return self.stations.route(paths.points[member[some]], stops[some])
 
         routes = shortened(at_fixed_width(place, np.arange(len(member)), self.config.width))
@@ -128,7 +135,7 @@ class Parts(NamedTuple):
         """Durations [s] by one of them at given scale factors."""
         at_once = np.zeros(self.config.width)
 
-        def ask(some: Int[np.ndarray, "n"]) -> Float[AnyArray, "m n"]:
+        def ask(some: Members) -> _Times:
             return allocation.match(state, pick(routes, some), at_once, alpha[some]).least_durations
 
         return at_fixed_width(ask, np.arange(len(routes.count)), self.config.width)
@@ -165,7 +172,7 @@ class Parts(NamedTuple):
     ) -> Trajectories:
         """Solved and checked trajectories, any number of them."""
 
-        def check(some: Int[np.ndarray, "n"]) -> Trajectories:
+        def check(some: Members) -> Trajectories:
             return self.check(allocation, state, pick(routes, some), durations[:, some], target)
 
         return at_fixed_width(check, np.arange(len(routes.count)), self.config.width)

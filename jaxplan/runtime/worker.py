@@ -23,6 +23,7 @@ from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.stream import ObservationStream
 from jaxplan.replanner import CommittedPlan, Cycle, Measured, Replanner
 from jaxplan.runtime.channel import CHANGES_KEPT, Channel
+from jaxplan.runtime.memory import settle
 from jaxplan.runtime.messages import (
     REPORT_BYTES,
     Answer,
@@ -215,6 +216,7 @@ def _warm_up(built: Built, config: RuntimeConfig) -> None:
     count = config.stream.observations
     still = np.tile(np.asarray(built.start.pos, dtype=float), (count, 1))
     built.predictor(Observations(times=config.stream.dt * np.arange(count), positions=still), 0)
+    settle()
 
 
 def _tell(channel: Channel, phase: Phase, reason: str, **more: Any) -> None:
