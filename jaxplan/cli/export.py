@@ -4,6 +4,8 @@ import os
 from pathlib import Path
 from typing import Literal
 
+from jaxplan.config import Frame
+
 
 def export(
     source: Path,
@@ -11,7 +13,7 @@ def export(
     format: Literal["crazyswarm", "poly4d", "mav-trajectory-generation", "setpoints"],
     out: Path,
     plan: int | None = None,
-    frame: Literal["enu", "ned"] = "enu",
+    frame: Frame = "enu",
     rate: float = 100.0,
     tolerance: float = 1e-3,
     debug: bool = False,

@@ -20,20 +20,12 @@ _SHORTEST = 1e-9
 
 
 class SavedPlan(NamedTuple):
-    """A committed plan as it stands in a file."""
+    """A committed plan as it stands in a file, or what several of them come to."""
 
     start_time: float
     """When it takes over [s on the episode's clock]."""
     spline: PiecewisePolynomial
     """Position [m, world] and yaw [rad], without padding."""
-
-
-class Commanded(NamedTuple):
-    """What a vehicle was told to fly, from the first plan on."""
-
-    start_time: float
-    """[s on the episode's clock]"""
-    spline: PiecewisePolynomial
 
 
 def write_plans(path: Path, plans: "Sequence[CommittedPlan]") -> None:
@@ -89,7 +81,7 @@ def _saved(
     return SavedPlan(start, PiecewisePolynomial(durations=durations[real], position=position[real], yaw=yaw[real]))
 
 
-def commanded(plans: Sequence[SavedPlan]) -> Commanded:
+def commanded(plans: Sequence[SavedPlan]) -> SavedPlan:
     """The plans one after the other, each until the next one takes over; where one ends before, it is held at rest.
 
     There is at least one plan.
@@ -102,7 +94,7 @@ def commanded(plans: Sequence[SavedPlan]) -> Commanded:
             parts.append(plan.spline if until >= length - _SHORTEST else plan.spline.split(until)[0])
             if until > length + _SHORTEST:
                 parts.append(_held(plan.spline, until - length))
-    return Commanded(plans[0].start_time, concatenate(parts))
+    return SavedPlan(plans[0].start_time, concatenate(parts))
 
 
 def _held(spline: PiecewisePolynomial, duration: float) -> PiecewisePolynomial:
