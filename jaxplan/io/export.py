@@ -17,10 +17,12 @@ from jaxplan.errors import FileError, InputError
 from jaxplan.files import read_limited
 from jaxplan.io.septic import SIZE, as_septic
 from jaxplan.spline import PiecewisePolynomial
-from jaxplan.validation import as_finite
+from jaxplan.validation import as_finite, as_number
 
 MEMORY_PIECES = 31
 """Pieces in a Crazyflie's trajectory memory: 4096 bytes of 132 each."""
+MOST_SAMPLES = 1_000_000
+"""Setpoints in a file."""
 _PIECE = np.dtype([("coefficients", "<f4", (4, SIZE)), ("duration", "<f4")])
 """``struct poly4d`` of the firmware: ascending coefficients of x, y, z and yaw in seconds, then the duration."""
 _LARGEST = 64 * 2**20
@@ -72,15 +74,28 @@ def export_trajectory(spline: PiecewisePolynomial, name: str, config: ExportConf
         raise InputError(f"--format: have {name!r}, want one of {', '.join(FORMATS)}")
     if config.frame not in FORMATS[name].frames:
         raise InputError(f"--frame: have {config.frame!r}, want {' or '.join(FORMATS[name].frames)} for {name}")
-    for option, value in (("rate", config.rate), ("tolerance", config.tolerance)):
-        if not (np.isfinite(value) and value > 0.0):
+    rate, tolerance = as_number("--rate", config.rate), as_number("--tolerance", config.tolerance)
+    for option, value in (("rate", rate), ("tolerance", tolerance)):
+        if not value > 0.0:
             raise InputError(f"--{option}: have {value!r}, want a number above 0")
-    real = np.asarray(spline.durations) > 0.0
-    position, yaw = np.asarray(spline.position, float)[real], spline.yaw
-    turning = np.zeros((len(position), 1)) if yaw is None else np.asarray(yaw, float)[real]
-    given = PiecewisePolynomial(durations=np.asarray(spline.durations, float)[real], position=position, yaw=turning)
-    as_finite("export: trajectory", given.position, (None, None, 3))
-    return FORMATS[name].write(given if config.frame == "enu" else north_east_down(given), config)
+    given = _whole(spline)
+    turned = given if config.frame == "enu" else north_east_down(given)
+    return FORMATS[name].write(turned, ExportConfig(config.frame, rate, tolerance))
+
+
+def _whole(spline: PiecewisePolynomial) -> PiecewisePolynomial:
+    """A trajectory of finite numbers, without padding, with a yaw."""
+    durations = as_finite("export: durations", spline.durations, (None,))
+    position = as_finite("export: position", spline.position, (len(durations), None, 3))
+    yaw = np.zeros((len(durations), 1)) if spline.yaw is None else spline.yaw
+    turning = as_finite("export: yaw", yaw, (len(durations), None))
+    real = durations > 0.0
+    if (durations < 0.0).any() or not real.any() or not (position.shape[1] and turning.shape[1]):
+        raise InputError("export: have no duration or one below 0, or no coefficient; want a trajectory")
+    if max(position.shape[1] - 10, turning.shape[1] - SIZE) > 0:
+        raise InputError(f"export: have {position.shape[1]} and {turning.shape[1]} coefficients, want 10 and {SIZE}")
+    sized = np.pad(position[real], [(0, 0), (0, 10 - position.shape[1]), (0, 0)])
+    return PiecewisePolynomial(durations=durations[real], position=sized, yaw=turning[real])
 
 
 def read_trajectory(path: Path, name: str) -> PiecewisePolynomial:
@@ -97,7 +112,8 @@ def read_trajectory(path: Path, name: str) -> PiecewisePolynomial:
     try:
         spline = read(content)
         durations, numbers = np.asarray(spline.durations), np.asarray(spline.position)
-        if not (len(durations) and np.isfinite(numbers).all() and (durations > 0.0).all()):
+        known = np.isfinite(numbers).all() and np.isfinite(durations).all()
+        if not (len(durations) and known and (durations > 0.0).all()):
             raise ValueError("no piece, a number that is not finite, or a duration that is not above 0")
     except (ValueError, KeyError, TypeError, IndexError) as error:
         raise FileError(f"{path}: is no trajectory as {name} ({error}); give another file") from error
@@ -118,7 +134,14 @@ def _in_seconds(spline: PiecewisePolynomial, size: int) -> Float[np.ndarray, "m 
     both[:, :3, : spline.position.shape[1]] = np.moveaxis(np.asarray(spline.position), 1, 2)
     turning = np.asarray(spline.yaw)
     both[:, 3, : turning.shape[1]] = turning
-    return both / (np.asarray(spline.durations)[:, None] ** np.arange(size))[:, None]
+    with np.errstate(all="ignore"):
+        return _finite(both / (np.asarray(spline.durations)[:, None] ** np.arange(size))[:, None])
+
+
+def _finite(numbers: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    if not np.isfinite(numbers).all():
+        raise InputError("export: have numbers beyond the format's precision, want segments that last longer")
+    return numbers
 
 
 def _from_seconds(durations: Float[np.ndarray, "m"], coefficients: Float[np.ndarray, "m 4 n"]) -> PiecewisePolynomial:
@@ -152,7 +175,9 @@ def _write_poly4d(spline: PiecewisePolynomial, config: ExportConfig) -> Exported
             f"{MEMORY_PIECES}; give a larger --tolerance, or a single --plan"
         )
     pieces = np.zeros(len(septic.durations), _PIECE)
-    pieces["duration"], pieces["coefficients"] = septic.durations, _in_seconds(septic, SIZE)
+    with np.errstate(over="ignore"):
+        pieces["duration"], pieces["coefficients"] = septic.durations, _in_seconds(septic, SIZE)
+    _finite(pieces["coefficients"])
     rounded = _read_poly4d(pieces.tobytes())
     shares = np.linspace(0.0, 1.0, 65)
     off = [
@@ -196,10 +221,16 @@ def _read_mav_trajectory_generation(content: bytes) -> PiecewisePolynomial:
 def _write_setpoints(spline: PiecewisePolynomial, config: ExportConfig) -> Exported:
     """CSV of samples at an even rate, the end included."""
     duration = float(spline.duration)
+    if not duration * config.rate <= MOST_SAMPLES:
+        raise InputError(
+            f"setpoints: have {duration:g} s at {config.rate:g} a second, want at most {MOST_SAMPLES} samples; give a "
+            "smaller --rate"
+        )
     times = np.append(np.arange(int(np.ceil(duration * config.rate - 1e-9))) / config.rate, duration)
     values = [np.asarray(spline.evaluate(times, derivative)) for derivative in range(4)]
     columns = [times[:, None], *(value[:, :3] for value in values), values[0][:, 3:], values[1][:, 3:]]
-    lines = [",".join(SETPOINTS), *(",".join(f"{value:.9f}" for value in row) for row in np.hstack(columns))]
+    table = _finite(np.hstack(columns))
+    lines = [",".join(SETPOINTS), *(",".join(f"{value:.9f}" for value in row) for row in table)]
     return Exported(("\n".join(lines) + "\n").encode(), len(times), 0.0)
 
 

@@ -12,14 +12,18 @@ import collections
 import json
 import math
 import sys
+import tempfile
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
 import jaxplan
+from jaxplan.config import FRAMES
+from jaxplan.io.export import FORMATS, ExportConfig, export_trajectory, read_trajectory
 from jaxplan.prediction.observations import Observations
 from jaxplan.replanner.records import Measured
 from jaxplan.search.lattice import build_lattices
@@ -112,6 +116,7 @@ class Calls:
             "predict": (30, self.predict),
             "routes": (15, self.routes),
             "load": (15, self.load),
+            "export": (60, self.export),
         }
 
     def minimum_snap(self, rng: np.random.Generator) -> bool:
@@ -262,6 +267,23 @@ class Calls:
         ]
         call(THINGS[int(rng.integers(len(THINGS)))])
         return True
+
+    def export(self, rng: np.random.Generator) -> bool:
+        """Trajectories for other programs, and files that are none."""
+        name = str(rng.choice([*FORMATS, "", "rosbag"]))
+        frame = THINGS[int(rng.integers(len(THINGS)))] if rng.random() < 0.1 else str(rng.choice(FRAMES))
+        config = ExportConfig(frame, spoilt(rng, 50.0), spoilt(rng, 1e-3))
+        content = export_trajectory(self.made_up_spline(rng), name, config).content
+        with tempfile.NamedTemporaryFile() as file:
+            damaged = bytearray(content)
+            for place in rng.integers(len(damaged), size=int(rng.integers(0, 3))):
+                damaged[place] = int(rng.integers(256))
+            file.write(bytes(damaged))
+            file.flush()
+            if name == "setpoints":
+                return b"nan" not in content
+            again = read_trajectory(Path(file.name), name)
+        return finite(again.durations, again.position)
 
 
 def keeping_shape(rng: np.random.Generator, values: Any) -> Any:

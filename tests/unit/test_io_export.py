@@ -178,6 +178,8 @@ def test_what_does_not_fit_is_refused_in_one_line() -> None:
         (lambda: export_trajectory(SPLINE, "rosbag"), "want one of crazyswarm"),
         (lambda: export_trajectory(SPLINE, "poly4d", ExportConfig(frame="ned")), "want enu for poly4d"),
         (lambda: export_trajectory(SPLINE, "setpoints", ExportConfig(rate=0.0)), "--rate"),
+        (lambda: export_trajectory(SPLINE, "setpoints", ExportConfig(rate=1e9)), "give a smaller --rate"),
+        (lambda: export_trajectory(SPLINE.dilate(np.inf), "crazyswarm"), "export: durations"),
         (lambda: export_trajectory(SPLINE, "crazyswarm", ExportConfig(tolerance=np.nan)), "--tolerance"),
         (lambda: export_trajectory(SPLINE, "crazyswarm", ExportConfig(tolerance=1e-30)), "give a larger tolerance"),
         (lambda: read_trajectory(Path("x"), "setpoints"), "want one of"),
