@@ -8,6 +8,8 @@ paper's rule ("multi-resolution") stands beside the roadmap.
 
 Time: the cycles of a pursuit, against SciPy's Dijkstra and scikit-image's MCP.
 
+Updates: a box appears, and what is prepared is patched.
+
 Each cycle puts the defender at a random share of the way to a stored target, so that all distances between the drones
 occur, and asks for routes to 20 predicted positions of the target with 20 noisy copies of each. The peers solve the
 same cycle on the lattice of the paper's rule, all goals in one search; they have no knots to select and no start or
@@ -34,9 +36,13 @@ from jaxplan.prediction.protocol import PredictionConfig
 from jaxplan.search.kernels.graph import LENGTHS, STEPS
 from jaxplan.search.lattice import SearchConfig, build_lattices, choose_level
 from jaxplan.search.routes import find_routes, warmup
+from jaxplan.search.update import update_lattices
+from jaxplan.selection import CheckConfig
+from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.clearance import clearance
 from jaxplan.world.load import ENVIRONMENTS, load_world
 from jaxplan.world.occupancy import exact_clearance
+from jaxplan.world.update import update_world, with_spare_boxes
 
 from . import _harness
 
@@ -209,6 +215,21 @@ def measure_quality(name, pairs, seed):
     return rows
 
 
+@in_float64
+def measure_updates(name, count, seed):
+    """One row: a box of 0.4 to 1 m appears anywhere in the room, and the planner's roadmap is patched."""
+    world, rng = with_spare_boxes(load_world(name), 1), np.random.default_rng(seed)
+    least = float(load_vehicle().radius) + CheckConfig().tracking_margin
+    lattices = build_lattices(world, SearchConfig(resolutions=(0.1,), distance_fractions=(), least_padding=least))
+    low, high = np.asarray(world.bounds)
+    times = []
+    for _ in range(count + 1):
+        middle, half = rng.uniform(low, high), rng.uniform(0.2, 0.5, 3)
+        change = update_world(world, add_box=(middle - half, middle + half))
+        times.append(milliseconds(update_lattices, lattices, change))
+    return {"world": name, "search": "roadmap", "method": "update", **quantiles(times[1:])}
+
+
 def quantiles(values):
     """Median, 99th percentile and maximum [ms]."""
     p50, p99 = np.quantile(values, [0.5, 0.99])
@@ -239,6 +260,7 @@ def main(argv=None):
     for name in [*options.worlds, *options.maps]:
         rows += measure_quality(name, options.pairs, options.seed)
     for name in options.worlds:
+        rows.append(measure_updates(name, options.cycles, options.seed))
         for method, peers in (("roadmap", options.peers), ("multi-resolution", 0)):
             rows += measure(name, method, options.cycles, peers, options.seed)
     rows.append(measure_clearance(repeats=options.cycles))

@@ -200,6 +200,20 @@ def test_a_planner_that_hangs_is_silent_then_killed_then_replaced():
         assert not runtime.setpoint(runtime.now() + 20.0).velocity.any(), "the certified plan is flown to its end"
 
 
+@pytest.mark.slow
+def test_the_planners_process_does_not_grow():
+    """By half a kilobyte a cycle it would grow 18 MB in an hour; three were reference cycles that nobody collected."""
+    with Runtime(runtime_builds.planner, hover(START), PATIENT) as runtime:
+        runtime.wait_ready(READY)
+        flown(runtime, 40.0)
+        before = runtime.status()
+        flown(runtime, 60.0)
+        after = runtime.status()
+    cycles = after.cycles - before.cycles
+    assert cycles > 400
+    assert 1e3 * (after.memory_mb - before.memory_mb) / cycles < 0.5, "kilobytes a cycle"
+
+
 def test_what_cannot_be_built_is_said_once():
     with Runtime(runtime_builds.refusing, hover(START)) as runtime:
         with pytest.raises(FileError, match=r"nowhere\.stl"):

@@ -14,7 +14,7 @@ def test_benchmark_runs_and_reports(tmp_path: Path, capsys: pytest.CaptureFixtur
     bench_search.main(["--cycles", "2", "--peers", "1", "--worlds", "env1", "--pairs", "100", "--json", str(out)])
     written = json.loads(out.read_text())
     methods = {row["method"] for row in written["rows"]}
-    assert methods >= {"quality", "prepare", "routes", "knots", "routes + knots", "scipy"}
+    assert methods >= {"quality", "prepare", "routes", "knots", "routes + knots", "scipy", "update"}
     quality = {row["search"]: row for row in written["rows"] if row["method"] == "quality"}
     assert quality["roadmap"]["excess_mean_percent"] < min(3.0, quality["multi-resolution"]["excess_mean_percent"])
     assert quality["roadmap"]["missed"].startswith("0 of ")
