@@ -50,6 +50,7 @@ class Defender(NamedTuple):
     meet: str = "pass"
     vehicle: str = VEHICLE
     padding: float = PADDING
+    refine: bool = False
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -70,6 +71,8 @@ class EpisodeConfig:
     """A preset, or a file."""
     padding: float = PADDING
     """Distance [m] that goals and paths keep from obstacles."""
+    refine: bool = False
+    """Whether chosen plans are made sooner, as ``InterceptConfig`` says; the paper does not."""
 
 
 def available_planners() -> tuple[str, ...]:
@@ -153,7 +156,7 @@ def _is_singular(episode: Episode) -> bool:
 def scenario_of(episode: EpisodeConfig) -> Scenario:
     """What an episode flies, for those that change some of it."""
     target = load_target(episode.target, world=episode.world, speed=episode.speed)
-    defender = Defender(episode.planner, episode.meet, episode.vehicle, episode.padding)
+    defender = Defender(episode.planner, episode.meet, episode.vehicle, episode.padding, episode.refine)
     scenario = _scenario(episode.world, defender)
     predictor = scenario.predictor if episode.planner in LAWS else _predictor(scenario, episode, target)
     return dataclasses.replace(
@@ -203,6 +206,7 @@ def _load(world: str, defender: Defender, elsewhere: Planner | None) -> Scenario
         allocate="profile" if planner == "profile" else None,
         vehicle=defender.vehicle,
         padding=defender.padding,
+        refine=defender.refine,
     )
     base = build_scenario(config, planner=elsewhere)
     if planner == "optimiser" and elsewhere is None:

@@ -60,6 +60,9 @@ class Config:
     meet: Meet = "pass"
     """How targets are met: pass flies through them, match at their velocity; rest stops at them, as in the paper."""
 
+    refine: bool = False
+    """Whether chosen plans are made sooner by optimising waypoints and times together; the paper does not."""
+
     vehicle: str = closed_loop.VEHICLE
     """Who flies: a preset, or a file. What was learned flies the default one only; profile flies any."""
 
@@ -105,6 +108,7 @@ def chosen(config: Config) -> list[EpisodeConfig]:
                 meet=config.meet,
                 vehicle=config.vehicle,
                 padding=config.padding,
+                refine=config.refine,
             )
         )
     return episodes
@@ -150,7 +154,8 @@ def items(config: Config) -> list[Item]:
 def prepare(config: Config, group: str) -> None:
     """Compile what the episodes of one planner call, in every world."""
     for world in dict.fromkeys(episode.world for episode in chosen(config)):
-        closed_loop.warm_up(world, closed_loop.Defender(group, config.meet, config.vehicle, config.padding))
+        defender = closed_loop.Defender(group, config.meet, config.vehicle, config.padding, config.refine)
+        closed_loop.warm_up(world, defender)
 
 
 def evaluate(config: Config, item: Item) -> Row:

@@ -85,6 +85,10 @@ class InterceptConfig:
     """Who allots the times: policy, the profile of speeds that one acceleration allows, or both in turn, which is the
     default; with --meet rest or no-policy it is the policy alone."""
 
+    refine: bool = False
+    """Whether chosen plans are made sooner, by optimising waypoints and times together; needs --meet pass and --heading
+    hold. The paper leaves them as the policy has them."""
+
     speed: float | None = None
     """The target's maximum speed [m/s]. Default: 1 for a stored target, as recorded for a flight."""
 
@@ -124,6 +128,10 @@ class InterceptConfig:
         _require_choice("heading", self.heading, HEADINGS)
         if self.allocate is not None:
             _require_choice("allocate", self.allocate, ALLOCATIONS)
+        if self.refine and (self.meet, self.heading) != ("pass", "hold"):
+            raise InputError(
+                f"--refine: have --meet {self.meet} and --heading {self.heading}; want --meet pass and --heading hold"
+            )
         if self.speed is not None:
             _require_up_to("speed", self.speed, _FASTEST_TARGET, "m/s")
         _require_number("departure", self.departure, "a time in seconds")

@@ -15,7 +15,7 @@ from jaxplan.feasibility.checkpoint import load_classifier
 from jaxplan.feasibility.classifier import Classifier
 from jaxplan.io.log_columns import LogFormat
 from jaxplan.io.targets import Target, load_target
-from jaxplan.planner import Planner, PlannerConfig, build_planner
+from jaxplan.planner import Planner, PlannerConfig, RefinementConfig, build_planner
 from jaxplan.policy.checkpoint import load_policy
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.policy.protocol import Policy
@@ -143,6 +143,8 @@ def planner_config(config: InterceptConfig, exhaustive: bool = False) -> Planner
     usual = dataclasses.replace(usual, allocate=config.allocate or ("policy" if alone else "both"))
     if config.planner == "no-policy" and usual.allocate == "profile" and config.meet != "rest":
         usual = dataclasses.replace(usual, arrival=dataclasses.replace(usual.arrival, least_alpha=1.0))
+    if config.refine:
+        usual = dataclasses.replace(usual, refinement=RefinementConfig())
     return usual if config.meet != "rest" else dataclasses.replace(usual, arrival=ArrivalConfig())
 
 

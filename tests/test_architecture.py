@@ -13,7 +13,7 @@ LAYERS = [
     | {"versions", "config", "weights", "mjcf_probe", "validation", "files"},
     {"spline"},
     {"minsnap", "vehicle", "world"},
-    {"prediction", "search", "knots", "policy", "arrival", "selection", "tracking", "feasibility"},
+    {"prediction", "search", "knots", "policy", "arrival", "selection", "tracking", "feasibility"} | {"optimizer"},
     {"planner"},
     {"viz", "io", "interception", "scenario", "replanner", "metrics", "training", "reference"} | {"runtime"},
     {"runner"},

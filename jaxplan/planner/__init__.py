@@ -15,6 +15,7 @@ from jaxplan.planner.records import (
     select_approach,
     select_stop,
 )
+from jaxplan.planner.refined import Refined, RefinementConfig, Seed
 from jaxplan.planner.timer import Timer
 from jaxplan.planner.validator import Fault, Verdict
 
@@ -25,6 +26,9 @@ __all__ = [
     "Planner",
     "PlannerConfig",
     "Plans",
+    "Refined",
+    "RefinementConfig",
+    "Seed",
     "Stops",
     "Timer",
     "Verdict",

@@ -5,6 +5,7 @@ are taken in order of score, some at a time, until one passes. The winner is tha
 """
 
 import functools
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import numpy as np
@@ -13,8 +14,11 @@ from jaxplan.feasibility.classifier import Classifier
 from jaxplan.planner.approach import approach
 from jaxplan.planner.border import usual_candidates, usual_spline, usual_state
 from jaxplan.planner.brake import brake, impact
+from jaxplan.planner.descent import compile_descent
 from jaxplan.planner.parts import Parts
 from jaxplan.planner.records import Planner, PlannerConfig, Plans
+from jaxplan.planner.refined import Seed
+from jaxplan.planner.refinement import refine
 from jaxplan.planner.stations import compile_stations
 from jaxplan.planner.table import Rows, Table, bound, check, enter, knots, match, outrank, reject, search, table_of
 from jaxplan.planner.timer import Timer
@@ -28,7 +32,7 @@ from jaxplan.search.kernels.solids import solids_of
 from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
 from jaxplan.search.routes import warmup as warm_up_search
 from jaxplan.search.update import update_lattices
-from jaxplan.spline import FlatState, PiecewisePolynomial
+from jaxplan.spline import FlatState, PiecewisePolynomial, hover
 from jaxplan.vehicle.identity import require_same_vehicle
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.obstacles import World
@@ -70,7 +74,8 @@ def build_planner(
     )
     lattices = build_lattices(world, options)
     stations = compile_stations(config, vehicle, policy, classifier)
-    return _planner(Parts(config, stations, lattices, _on_device(world), _room(lattices, world), vehicle))
+    descend = None if config.refinement is None else compile_descent(config.refinement, vehicle)
+    return _planner(Parts(config, stations, lattices, _on_device(world), _room(lattices, world), vehicle, descend))
 
 
 def _planner(parts: Parts) -> Planner:
@@ -78,6 +83,7 @@ def _planner(parts: Parts) -> Planner:
     return Planner(
         plan_batch=functools.partial(in_float64(plan_batch), parts),
         approach=functools.partial(in_float64(approach), parts),
+        refine=functools.partial(in_float64(refine), parts),
         validate=functools.partial(_validate, parts),
         impact=functools.partial(impact, parts),
         brake=functools.partial(in_float64(brake), parts),
@@ -174,14 +180,24 @@ def _warmup(parts: Parts, state: FlatState) -> None:
     """Compile every station, then run the whole chain once."""
     state = usual_state(state)
     warm_up_search(parts.lattices, parts.world, parts.config.path_capacity)
-    compile_all(parts.stations, parts.world, parts.config, state)
     candidates = _candidates_around(state, parts.config.width)
+    with ThreadPoolExecutor(1) as pool:
+        aside = pool.submit(in_float64(_refine_once), parts, state, candidates)
+        compile_all(parts.stations, parts.world, parts.config, state)
+        aside.result()
     plan_batch(parts, state, candidates)
     approach(parts, state, candidates)
     _validate(parts, brake(parts, state).spline(0))
 
 
+def _refine_once(parts: Parts, state: FlatState, candidates: Candidates) -> None:
+    """Compile the refinement, where there is one, from a plan that stays where it is."""
+    if parts.config.refinement is not None:
+        still = PiecewisePolynomial(durations=np.ones(2), position=np.zeros((2, 10, 3)), yaw=np.zeros((2, 6)))
+        refine(parts, hover(state.pos), candidates, Seed(still, 0.0, 1.0, np.asarray(state.pos), 1.0))
+
+
 def _candidates_around(state: FlatState, count: int) -> Candidates:
     """Candidates near a state, to warm up with."""
     goals = np.asarray(state.pos) + 0.3 * np.random.default_rng(0).standard_normal((count, 3)) * [1.0, 1.0, 0.1]
-    return candidates_from(np.asarray(state.pos), goals, np.full(count, 1.0), np.zeros(count))
+    return candidates_from(np.asarray(state.pos), goals, np.linspace(0.5, 1.5, count), np.zeros(count))

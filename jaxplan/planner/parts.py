@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int, UInt32
 
 from jaxplan.arrays import AnyArray
 from jaxplan.batching import at_fixed_width, pick
+from jaxplan.planner.descent import Descend
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.planner.stations import Match, Routes, Stations, Trajectories, shortened
 from jaxplan.planner.validator import Keep, Room
@@ -52,6 +53,8 @@ class Parts(NamedTuple):
     room: Room
     """The same world for the last look at a plan."""
     vehicle: Vehicle
+    descend: Descend | None = None
+    """The compiled part of a refinement, where chosen plans are refined."""
 
     @property
     def radius(self) -> float:

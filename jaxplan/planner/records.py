@@ -11,6 +11,7 @@ from jaxplan.config import ALLOCATIONS, HEADINGS, MEETINGS, Allocate, Heading, M
 from jaxplan.errors import InputError
 from jaxplan.knots import KnotConfig
 from jaxplan.minsnap.spline_batch import SplineBatch
+from jaxplan.planner.refined import Refine, RefinementConfig
 from jaxplan.planner.timer import Timer
 from jaxplan.planner.validator import ValidatorConfig, Verdict
 from jaxplan.prediction.candidates import Candidates
@@ -77,6 +78,13 @@ class PlannerConfig:
     arrival: ArrivalConfig = ArrivalConfig(least_alpha=0.75, tolerance=1e-2)
     checks: CheckConfig = CheckConfig()
     validator: ValidatorConfig = ValidatorConfig()
+    refinement: RefinementConfig | None = None
+    """How chosen plans are made sooner; None: they are left as the policy has them (the paper)."""
+
+    @property
+    def least_gain(self) -> float:
+        """By how much a refined plan must be sooner [s] to be taken."""
+        return 0.0 if self.refinement is None else self.refinement.gain
 
     def __post_init__(self) -> None:
         require_kinds("planner", self)
@@ -90,6 +98,9 @@ class PlannerConfig:
         require_one_of("planner", self, MEETINGS, "meet")
         require_one_of("planner", self, HEADINGS, "heading")
         require_one_of("planner", self, ALLOCATIONS, "allocate")
+        if self.refinement is not None and (self.meet, self.heading) != ("pass", "hold"):
+            have = f"meet {self.meet!r} and heading {self.heading!r}"
+            raise InputError(f"planner: refinement needs meet 'pass' and heading 'hold', have {have}; want None")
         if self.meet != "rest" and self.search != "roadmap":
             raise InputError(f"planner: meet {self.meet!r} needs search 'roadmap', have {self.search!r}; want 'rest'")
 
@@ -281,6 +292,7 @@ class Planner(NamedTuple):
 
     plan_batch: PlanBatch
     approach: Approach
+    refine: Refine
     validate: Validate
     impact: Impact
     brake: Brake

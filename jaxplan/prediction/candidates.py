@@ -70,14 +70,25 @@ def target_velocities(candidates: Candidates) -> Float[np.ndarray, "k 3"]:
 
     Where all goals have one arrival time nothing is known of it: 0.
     """
+    instants, means = mean_motion(candidates)
+    if len(instants) < 2:
+        return np.zeros(np.shape(candidates.goals))
+    column = np.searchsorted(instants, np.asarray(candidates.arrival_times))
+    return np.asarray(np.gradient(means, instants, axis=0))[np.minimum(column, len(instants) - 1)]
+
+
+def mean_motion(candidates: Candidates) -> tuple[Float[np.ndarray, "i"], Float[np.ndarray, "i 3"]]:
+    """The instants [s] for which there are candidates, in order, and the mean of their goals [m] at each (host).
+
+    Nothing where a goal or a time is not finite.
+    """
     goals, times = np.asarray(candidates.goals), np.asarray(candidates.arrival_times)
+    if not (np.isfinite(goals).all() and np.isfinite(times).all()):
+        return np.zeros(0), np.zeros((0, 3))
     instants, column = np.unique(times, return_inverse=True)
-    if len(instants) < 2 or not (np.isfinite(goals).all() and np.isfinite(instants).all()):
-        return np.zeros(goals.shape)
     sums = np.zeros((len(instants), 3))
     np.add.at(sums, column, goals)
-    means = sums / np.bincount(column)[:, None]
-    return np.asarray(np.gradient(means, instants, axis=0))[column]
+    return instants, sums / np.bincount(column, minlength=1)[: len(instants), None]
 
 
 def reject_early(

@@ -16,12 +16,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxplan.minsnap.spline_batch import SplineBatch
+from jaxplan.optimizer.interior_point import DescentConfig, descend
+from jaxplan.optimizer.margins import linearise, values
+from jaxplan.optimizer.problem import Limits, TargetTable, Task, flatten, splines, unflatten
 from jaxplan.precision import in_float64
 from jaxplan.records import replace
 from jaxplan.reference.flight import Flown, Judge, Verdict, fly
-from jaxplan.reference.interior_point import DescentConfig, descend
-from jaxplan.reference.margins import linearise, values
-from jaxplan.reference.problem import Limits, TargetTable, Task, flatten, splines, unflatten
 from jaxplan.reference.starts import Sought, first_guesses
 from jaxplan.spline import PiecewisePolynomial, hover
 from jaxplan.tracking.rollout import Plant
@@ -42,6 +42,8 @@ SLOWER, MORE_CLEARANCE, NEARER = 1.02, 0.01, 0.03
 MOST_SHORTFALL, LATE = 0.03, 0.02
 """m; of what was missing, that is believed at once: flights out of control say little. s; behind the planned meeting,
 from which on a flight has missed it."""
+MAX_TILT = math.radians(78.5)
+"""Of the thrust from the vertical [rad]."""
 LEAST_RADIUS = 0.05
 """m; of the meeting ball (arbitrary)."""
 WORTHWHILE = 0.005
@@ -149,11 +151,22 @@ def _opened(case: Interception, config: ReferenceConfig) -> tuple[Task, Float[Ar
     """The task and its starts."""
     begin = case.departure + config.latency
     clock = begin + np.arange(0.0, HORIZON + 0.5 * INTERVAL, INTERVAL)
-    table = TargetTable(interval=np.asarray(INTERVAL), position=case.position(clock), velocity=case.velocity(clock))
+    beside = np.zeros((3, config.starts))
+    path = {"position": case.position(clock), "velocity": case.velocity(clock), "offset": beside}
+    table = TargetTable(interval=np.asarray(INTERVAL), **path)
     own = float(case.judge.clearance(case.sought.start[None])[0]) - 0.01  # a start nearer to obstacles is allowed
-    limits = (min(config.clearance, own), config.meet_radius, 1.0)
+    limits = (min(config.clearance, own), 0.0, 0.0, 0.0, config.meet_radius, 1.0)
     each = Limits(**dict(zip(Limits.__dataclass_fields__, (np.full(config.starts, v) for v in limits), strict=True)))
-    task = Task(start=case.sought.start, target=table, world=case.sought.world, vehicle=case.vehicle, limits=each)
+    task = Task(
+        start=hover(case.sought.start),
+        target=table,
+        world=case.sought.world,
+        vehicle=case.vehicle,
+        limits=each,
+        max_tilt=np.asarray(MAX_TILT),
+        max_pitch=np.asarray(MAX_TILT),
+        max_body_rate=np.asarray(np.inf),
+    )
     task = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), task)
     guesses = first_guesses(case.sought, lambda times: case.position(begin + times), config.segments, config.starts)
     return task, jnp.asarray(flatten(guesses).T)
@@ -174,7 +187,7 @@ def _slowed(task: Task, x: Float[Array, "k v"]) -> Float[Array, "k v"]:
 @jax.jit
 def _descend(task: Task, x: Float[Array, "k v"], config: DescentConfig) -> Float[Array, "k v"]:
     """Local minima near k points."""
-    return descend(functools.partial(values, task), functools.partial(linearise, task), x, config)
+    return descend(functools.partial(values, task), functools.partial(linearise, task), x, config).x
 
 
 @jax.jit

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import qmc
 
-from jaxplan.reference.problem import Variables
+from jaxplan.optimizer.problem import Variables
 from jaxplan.search.lattice import Lattices
 from jaxplan.search.routes import find_routes
 from jaxplan.world.obstacles import World

@@ -1,5 +1,7 @@
 """What a committed interception is worth among the candidates of a later cycle."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -8,25 +10,47 @@ from jaxplan.replanner.records import CommittedPlan, ReplannerConfig
 from jaxplan.status import PlanStatus
 
 
-def incumbent_score(
+class Incumbent(NamedTuple):
+    """A committed interception, as it stands now."""
+
+    score: float
+    """Among today's candidates; -inf when it no longer meets the target."""
+    goal: Float[np.ndarray, "3"]
+    """Where the target is expected when the vehicle is there [m, world]."""
+    likelihood: float
+    """Of that."""
+
+
+NO_INCUMBENT = Incumbent(-np.inf, np.full(3, np.nan), np.nan)
+"""Nothing that a new plan would have to beat."""
+
+
+def incumbent_among(
     plan: CommittedPlan, candidates: Candidates, takeover: float, likelihood_weight: float, config: ReplannerConfig
-) -> float:
-    """Score of the committed interception among today's candidates; -inf when it no longer meets the target."""
+) -> Incumbent:
+    """The committed interception by the candidate that is nearest to what it was made for.
+
+    Another motion of the target is another one from ``keep_radius`` on, and not met any more where the vehicle passes
+    farther than ``reach`` from it.
+    """
     remaining = plan.arrival_time - takeover
     if plan.status is not PlanStatus.INTERCEPT or remaining <= 0.0:
-        return -np.inf
-    apart, simultaneous = _expected_then(candidates, remaining, plan.goal, 0.5 * config.period)
-    same = simultaneous & (apart <= config.keep_radius)
+        return NO_INCUMBENT
+    expected, simultaneous = _expected_then(candidates, remaining, 0.5 * config.period)
+    apart = np.linalg.norm(expected - plan.goal, axis=-1)
+    missed = np.linalg.norm(expected - plan.spline.evaluate(plan.arrival_time - plan.start_time)[:3], axis=-1)
+    same = simultaneous & (apart <= config.keep_radius) & (missed <= max(config.reach, config.keep_radius))
     if not same.any():
-        return -np.inf
+        return NO_INCUMBENT
     nearest = int(np.argmin(np.where(same, apart, np.inf)))
-    return likelihood_weight * float(candidates.likelihood[nearest]) - remaining
+    likelihood = float(candidates.likelihood[nearest])
+    return Incumbent(likelihood_weight * likelihood - remaining, expected[nearest], likelihood)
 
 
 def _expected_then(
-    candidates: Candidates, time: float, goal: Float[np.ndarray, "3"], tolerance: float
-) -> tuple[Float[np.ndarray, "k"], Bool[np.ndarray, "k"]]:
-    """How far [m] the target would be from ``goal`` at ``time`` if each candidate were true, and which are of then.
+    candidates: Candidates, time: float, tolerance: float
+) -> tuple[Float[np.ndarray, "k 3"], Bool[np.ndarray, "k"]]:
+    """Where the target would be [m] at ``time`` if each candidate were true, and which candidates are of then.
 
     Predictions may be farther apart than replans. A candidate of a neighbouring step is moved along the mean of the
     predicted positions, step by step.
@@ -35,10 +59,10 @@ def _expected_then(
     finite = np.isfinite(times) & np.isfinite(goals).all(axis=-1)
     steps, member = np.unique(np.round(times[finite], 6), return_inverse=True)
     if len(steps) == 0:
-        return np.full(len(times), np.inf), np.zeros(len(times), bool)
+        return np.full(goals.shape, np.inf), np.zeros(len(times), bool)
     size = np.bincount(member)
     means = np.stack([np.bincount(member, weights=goals[finite, axis]) / size for axis in range(3)], axis=1)
     spacing = np.diff(steps).min() if len(steps) > 1 else 0.0
     simultaneous = finite & (np.abs(times - time) <= max(tolerance, 0.5 * spacing) + 1e-6)
     moved = [np.interp(time, steps, means[:, axis]) - np.interp(times, steps, means[:, axis]) for axis in range(3)]
-    return np.linalg.norm(goals + np.stack(moved, axis=1) - goal, axis=-1), simultaneous
+    return goals + np.stack(moved, axis=1), simultaneous

@@ -14,20 +14,20 @@ vehicle stops. A vehicle that is measured off its reference plans from where it 
 
 import time
 from collections import deque
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from jaxplan.errors import InputError
-from jaxplan.planner import HITS, Approaches, Fault, Planner, Plans, Stops, Timer, select_stop
+from jaxplan.planner import HITS, Approaches, Fault, Planner, Plans, Seed, Timer, select_stop
 from jaxplan.planner.timer import Clock
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.prediction.observations import Observations, usual_observations
 from jaxplan.prediction.protocol import Predictor
 from jaxplan.records import replace
+from jaxplan.replanner.choice import Chosen, Start, chosen_from, chosen_refined, seed_of_committed, seed_of_plan
 from jaxplan.replanner.committed import CommittedPlans, hold
-from jaxplan.replanner.incumbent import incumbent_score
+from jaxplan.replanner.incumbent import NO_INCUMBENT, Incumbent, incumbent_among
 from jaxplan.replanner.measured import carried_on, usual_measured
 from jaxplan.replanner.records import CommittedPlan, Cycle, Measured, ReplannerConfig
 from jaxplan.spline import FlatState
@@ -41,29 +41,6 @@ RESERVE = 1.2
 """By how much the latency is longer than 99 of 100 of them (arbitrary)."""
 LOOKED_AT = 4
 """Plans that a cycle takes a last look at (arbitrary: more than one is hardly ever refused)."""
-
-
-class _Start(NamedTuple):
-    """Where and how the plans of a cycle begin."""
-
-    state: FlatState
-    takeover: float
-    """[s]"""
-    deviation: float
-    """Of the vehicle from its reference [m]; 0 where it is not measured."""
-    measured: bool
-    """Whether they begin where the vehicle is, off the reference."""
-    wider: float
-    """What they keep from obstacles beyond the usual [m]."""
-
-
-class _Chosen(NamedTuple):
-    """What a cycle commits."""
-
-    among: Plans | Approaches | Stops
-    place: int
-    slowdown: float
-    """Multiple of the least time that the trajectory takes."""
 
 
 class Replanner:
@@ -158,7 +135,7 @@ class Replanner:
             plans = self.planner.plan_batch(start.state, candidates, timer, np.inf)
             status, chosen = self._stop(start, PlanStatus.RECOVER)
         else:
-            plans = self.planner.plan_batch(start.state, candidates, timer, incumbent)
+            plans = self.planner.plan_batch(start.state, candidates, timer, incumbent.score)
             status, chosen = self._decide(start, candidates, plans, incumbent, timer)
         timer.lap("select")
         if chosen is not None and self.config.drop_late and timer.total > 1e3 * latency:
@@ -170,7 +147,7 @@ class Replanner:
             time=now,
             status=status,
             plans=plans,
-            chosen=chosen.place if chosen is not None and chosen.among is plans else -1,
+            chosen=-1 if chosen is None else chosen.candidate,
             stage_ms=timer.stages,
             generated=len(plans.reasons),
             rejected=count_reasons(plans.reasons),
@@ -179,48 +156,58 @@ class Replanner:
             refused=self._refused,
             deviation=start.deviation,
             latency=latency,
+            sooner=0.0 if chosen is None else chosen.sooner,
         )
 
-    def _start(self, now: float, measured: Measured | None) -> _Start:
+    def _start(self, now: float, measured: Measured | None) -> Start:
         """Where the plans of this cycle begin, never before the newest plan has taken over."""
         takeover = max(now + self.latency, self.committed.start_time)
         then = self._committed.at(takeover)
         if measured is None:
-            return _Start(then, takeover, 0.0, False, 0.0)
+            return Start(then, takeover, 0.0, False, 0.0)
         reference = self._committed.at(now)
         deviation = float(np.linalg.norm(measured.position - np.asarray(reference.pos)))
         near = deviation <= self.config.replan_beyond
         if near or (deviation <= self.config.stop_beyond and self._is_clear(now, deviation)):
-            return _Start(then, takeover, deviation, False, 0.0)
+            return Start(then, takeover, deviation, False, 0.0)
         state = carried_on(measured, reference, then, takeover - now)
-        return _Start(state, takeover, deviation, True, self.config.wider_margin)
+        return Start(state, takeover, deviation, True, self.config.wider_margin)
 
     def _is_clear(self, now: float, wider: float) -> bool:
         """Whether what is left of the committed plan keeps its distance from obstacles, and so much [m] more."""
         verdict = self.planner.validate(self.committed.spline, now - self.committed.start_time, None, wider)
         return not verdict.faults & Fault.CLEARANCE
 
-    def _incumbent(self, candidates: Candidates, start: _Start) -> float:
+    def _incumbent(self, candidates: Candidates, start: Start) -> Incumbent:
         """What the committed plan is worth; nothing where it is not clear, or the vehicle not on it."""
         if not self._certain:
-            return -np.inf
+            return NO_INCUMBENT
         weight = self.planner.config.likelihood_weight
-        return incumbent_score(self.committed, candidates, start.takeover, weight, self.config)
+        return incumbent_among(self.committed, candidates, start.takeover, weight, self.config)
 
     def _decide(
-        self, start: _Start, candidates: Candidates, plans: Plans, incumbent: float, timer: Timer
-    ) -> tuple[PlanStatus, _Chosen | None]:
-        """The ladder: a better interception, the committed one, an approach, a stop if need be, what is committed."""
+        self, start: Start, candidates: Candidates, plans: Plans, incumbent: Incumbent, timer: Timer
+    ) -> tuple[PlanStatus, Chosen | None]:
+        """The ladder: a better interception, the committed one, an approach, a stop if need be, what is committed.
+
+        What is found is made sooner where that can be.
+        """
         best = self._best(plans, plans.score, start)
-        if best >= 0 and plans.score[best] > incumbent:
-            return PlanStatus.INTERCEPT, _Chosen(plans, best, float(plans.alpha[best]))
-        if np.isfinite(incumbent):
-            return PlanStatus.KEPT_COMMITTED, None
+        if best >= 0 and plans.score[best] > incumbent.score:
+            seed = seed_of_plan(plans, best, candidates)
+            refined = self._refined(start, candidates, seed, float(plans.score[best]), timer)
+            return PlanStatus.INTERCEPT, refined or chosen_from(plans, best, float(plans.alpha[best]), best)
+        if np.isfinite(incumbent.score):
+            seed = seed_of_committed(self.committed, incumbent, start.takeover)
+            refined = self._refined(start, candidates, seed, incumbent.score, timer)
+            return (PlanStatus.INTERCEPT, refined) if refined else (PlanStatus.KEPT_COMMITTED, None)
         approaches = self.planner.approach(start.state, candidates)
         timer.lap("approach")
         best = self._best(approaches, -approaches.lateness, start)
         if best >= 0:
-            return PlanStatus.APPROACH, _Chosen(approaches, best, float(approaches.alpha[best]))
+            refined = self._refined(start, candidates, seed_of_plan(approaches, best, candidates), -np.inf, timer)
+            approached = chosen_from(approaches, best, float(approaches.alpha[best]))
+            return (PlanStatus.INTERCEPT, refined) if refined else (PlanStatus.APPROACH, approached)
         if not self._certain:
             return self._stop(start, PlanStatus.BRAKE)
         if (np.asarray(candidates.reasons) & np.uint32(Reason.TARGET_LOST)).all():
@@ -228,7 +215,18 @@ class Replanner:
         usable = bool((plans.reasons == 0).any()) or len(approaches.reasons) > 0
         return (PlanStatus.KEPT_COMMITTED if usable else PlanStatus.NO_CANDIDATE), None
 
-    def _best(self, among: Plans | Approaches, score: Float[np.ndarray, "k"], start: _Start) -> int:
+    def _refined(self, start: Start, candidates: Candidates, seed: Seed, score: float, timer: Timer) -> Chosen | None:
+        """An interception that is enough sooner than ``seed``, which is worth ``score``; None where there is none."""
+        refined = self.planner.refine(start.state, candidates, seed)
+        timer.lap("refine")
+        if refined is None or refined.reasons or not refined.score >= score + self.planner.config.least_gain:
+            return None
+        if self.planner.validate(refined.spline, 0.0, start.state, start.wider).faults:
+            self._refused += 1
+            return None
+        return chosen_refined(refined, seed)
+
+    def _best(self, among: Plans | Approaches, score: Float[np.ndarray, "k"], start: Start) -> int:
         """The usable trajectory of the largest score that passes the last look; -1 where there is none."""
         usable: Int[np.ndarray, "n"] = np.flatnonzero((among.reasons == 0) & np.isfinite(score))
         for index in usable[np.argsort(-score[usable], kind="stable")][:LOOKED_AT].tolist():
@@ -237,29 +235,28 @@ class Replanner:
             self._refused += 1
         return -1
 
-    def _stop(self, start: _Start, status: PlanStatus) -> tuple[PlanStatus, _Chosen | None]:
+    def _stop(self, start: Start, status: PlanStatus) -> tuple[PlanStatus, Chosen | None]:
         """What ``select_stop`` takes; where none is clear, only if the committed plan hits harder."""
         since = start.takeover - self.committed.start_time
         stops = self.planner.brake(start.state, self.committed.spline, since)
         best = select_stop(stops)
         if best >= 0 and not stops.reasons[best] & np.uint32(HITS):
-            return status, _Chosen(stops, best, np.nan)
+            return status, chosen_from(stops, best, np.nan)
         hit = self.planner.impact(self.committed.spline, since)
         softer = best >= 0 and (stops.impact[best] < hit or (start.measured and stops.impact[best] == 0.0))
-        return PlanStatus.BLOCKED, _Chosen(stops, best, np.nan) if softer else None
+        return PlanStatus.BLOCKED, chosen_from(stops, best, np.nan) if softer else None
 
-    def _commit(self, chosen: _Chosen, start: _Start, status: PlanStatus) -> Float[np.ndarray, "5"]:
+    def _commit(self, chosen: Chosen, start: Start, status: PlanStatus) -> Float[np.ndarray, "5"]:
         """Add a plan; returns its discontinuity from where it should begin, as ``Cycle.jump``."""
-        among, index = chosen.among, chosen.place
-        spline = among.spline(index)
+        spline = chosen.spline
         plan = CommittedPlan(
             start_time=start.takeover,
             spline=spline,
-            goal=among.goals[index],
-            arrival_time=start.takeover + float(among.arrival_times[index]),
+            goal=chosen.goal,
+            arrival_time=start.takeover + chosen.arrival_time,
             alpha=chosen.slowdown,
             status=status,
-            probability=among.probability(index),
+            probability=chosen.probability,
             from_measured=start.measured,
         )
         self._committed.add(plan)

@@ -28,6 +28,8 @@ class ReplannerConfig:
     into the past. Off in simulation, whose results are not to depend on the machine."""
     keep_radius: float = 0.2
     """A committed interception stays one while the target is still predicted this close [m] to its goal."""
+    reach: float = 0.36
+    """And while the vehicle passes it no farther [m] than this: what counts as met is 0.4 m, and it strays."""
     replan_beyond: float = 0.5
     """Farther [m] than this from its reference, the next plan begins where the vehicle is measured, unless the
     committed one is clear by as much more: then the vehicle finds back to it."""
@@ -37,7 +39,7 @@ class ReplannerConfig:
     """What plans from a measured state keep from obstacles [m] beyond the usual (arbitrary)."""
 
     def __post_init__(self) -> None:
-        require_positive("replanner", self, "period", "latency", "keep_radius", "replan_beyond")
+        require_positive("replanner", self, "period", "latency", "keep_radius", "reach", "replan_beyond")
         require_at_least("replanner", self, 0.0, "wider_margin")
         require_at_least("replanner", self, self.replan_beyond, "stop_beyond")
         if self.most_latency is not None and not self.most_latency >= self.latency:
@@ -97,3 +99,5 @@ class Cycle(NamedTuple):
     """Of the measured vehicle from its reference [m]; 0 where it is not measured."""
     latency: float = np.nan
     """Seconds until a plan of this cycle takes over."""
+    sooner: float = 0.0
+    """By how much a refinement made the meeting sooner [s]; 0 where none was taken."""

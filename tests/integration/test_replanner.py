@@ -14,7 +14,8 @@ from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
 from jaxplan.prediction.observations import first_observation
 from jaxplan.replanner import Measured, Replanner, ReplannerConfig
-from jaxplan.replanner.incumbent import incumbent_score
+from jaxplan.replanner.committed import hold
+from jaxplan.replanner.incumbent import incumbent_among
 from jaxplan.spline import hover
 from jaxplan.status import PlanStatus
 from jaxplan.vehicle.load import load_vehicle
@@ -117,16 +118,21 @@ def test_a_committed_interception_is_recognised_between_two_predicted_steps(plan
     """In large rooms predictions are 0.2 s apart and replans 0.1 s: every second cycle falls between two steps."""
     replanner = Replanner(planner, Script(), hover(START))
     position, velocity = np.array([0.0, 1.0, 1.0]), np.array([5.0, -1.0, 0.2])
-    held = replanner.committed
+    held = hold(hover(position))
     replanner.plans.append(held._replace(goal=position, arrival_time=2.0 + offset, status=PlanStatus.INTERCEPT))
     steps = np.repeat(0.2 * np.arange(1, 21), samples)
     noise = 0.05 * np.random.default_rng(0).normal(size=(len(steps), 3)) * (samples > 1)
     goals = position + (steps - 2.0 - offset)[:, None] * velocity + noise
     expected = candidates_from(position, goals, steps, np.zeros(len(steps)))
-    score = incumbent_score(replanner.committed, expected, 0.0, 1.0, replanner.config)
-    assert score == pytest.approx(1.0 - 2.0 - offset)
+    incumbent = incumbent_among(replanner.committed, expected, 0.0, 1.0, replanner.config)
+    assert incumbent.score == pytest.approx(1.0 - 2.0 - offset)
+    np.testing.assert_allclose(incumbent.goal, position, atol=0.2)
     elsewhere = candidates_from(position, goals + np.array([0.0, 0.4, 0.0]), steps, np.zeros(len(steps)))
-    assert incumbent_score(replanner.committed, elsewhere, 0.0, 1.0, replanner.config) == -np.inf
+    assert incumbent_among(replanner.committed, elsewhere, 0.0, 1.0, replanner.config).score == -np.inf
+    passing = hold(hover(position + np.array([0.0, 0.37, 0.0])))
+    replanner.plans.append(passing._replace(goal=position, arrival_time=2.0 + offset, status=PlanStatus.INTERCEPT))
+    missed = incumbent_among(replanner.committed, expected, 0.0, 1.0, dataclasses.replace(replanner.config, reach=0.1))
+    assert missed.score == -np.inf, "the vehicle passes too far from where the target is expected"
 
 
 def test_unreachable_target_is_approached(planner):

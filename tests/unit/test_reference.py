@@ -10,8 +10,8 @@ from scipy.optimize import minimize
 
 from experiments import reference_times
 from jaxplan.errors import InputError
-from jaxplan.reference.interior_point import DescentConfig, descend
-from jaxplan.reference.margins import Linearised
+from jaxplan.optimizer.interior_point import DescentConfig, descend
+from jaxplan.optimizer.margins import Linearised
 from jaxplan.reference.soonest import ReferenceConfig, soonest
 from jaxplan.vehicle.limits import most_thrust
 from tolerances import tolerance
@@ -33,7 +33,7 @@ def linearised(x: jax.Array) -> Linearised:
 def test_the_descent_finds_scipys_optimum_from_feasible_and_infeasible_starts(x64: None) -> None:
     starts = CENTRE + 0.5 * np.random.default_rng(0).normal(size=(5, 3))
     config = DescentConfig(iterations=300, barrier=1.0, rate=0.9, last_barrier=1e-7)
-    found = np.asarray(descend(disc, linearised, jnp.asarray(starts), config))
+    found = np.asarray(descend(disc, linearised, jnp.asarray(starts), config).x)
     assert np.asarray(disc(jnp.asarray(starts))[1]).min() < -0.1
     bounds = [{"type": "ineq", "fun": lambda x, i=i: float(disc(jnp.asarray(x[None]))[1][0, i])} for i in range(2)]
     best = minimize(lambda x: x[0] + 2.0 * x[2], CENTRE, constraints=bounds, method="SLSQP", tol=1e-10)

@@ -1,4 +1,4 @@
-"""What is minimised: the time to meet a target whose motion is known, from rest, as one minimum-snap spline.
+"""What is minimised: the time to meet a target whose motion is known, as one minimum-snap spline from a flat state.
 
     min   T = T_1 + ... + T_(m-1)                                  the meeting knot is the last but one
     over  log T_1 .. log T_m, the inner waypoints p_1 .. p_(m-2), an offset u and the stop vector b
@@ -15,9 +15,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplan.arrays import AnyArray
-from jaxplan.minsnap.single import POSITION_ORDER, interpolate
+from jaxplan.minsnap.single import interpolate
 from jaxplan.minsnap.spline_batch import SplineBatch
-from jaxplan.records import record
+from jaxplan.records import record, static
+from jaxplan.spline import FlatState
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.obstacles import World
 
@@ -28,6 +29,12 @@ class Limits:
 
     clearance: Float[AnyArray, "k"]
     """Metres from the vehicle's centre to the nearest obstacle or face of the room, at every sample."""
+    slow: Float[AnyArray, "k"]
+    """Speed [m/s] from which it is more."""
+    per_speed: Float[AnyArray, "k"]
+    """How much more [m per m/s]."""
+    most: Float[AnyArray, "k"]
+    """The most that it is more [m]."""
     meet_radius: Float[AnyArray, "k"]
     """Metres from the target at the meeting."""
     dilation: Float[AnyArray, "k"]
@@ -44,17 +51,21 @@ class TargetTable:
     """Metres, world."""
     velocity: Float[AnyArray, "n 3"]
     """Metres per second, world."""
+    offset: Float[AnyArray, "3 k"]
+    """Where each of k targets flies, beside the one that the table shows [m]."""
 
     def at(self, times: Float[Array, "k"]) -> Float[Array, "3 k"]:
-        """Where the target is ``times`` [s] after the plan's start [m, world]."""
+        """Where the targets are ``times`` [s] after the plan's start [m, world]."""
         steps = jnp.clip(times / self.interval, 0.0, len(self.position) - 1.0)
         index = jnp.clip(jnp.floor(steps).astype(jnp.int32), 0, len(self.position) - 2)
         s = (steps - index.astype(steps.dtype))[None]
         left, right = jnp.asarray(self.position)[index].T, jnp.asarray(self.position)[index + 1].T
         slope, next_slope = (self.interval * jnp.asarray(self.velocity)[i].T for i in (index, index + 1))
         step = right - left
-        return left + s * (
-            slope + s * ((3.0 * step - 2.0 * slope - next_slope) + s * (slope + next_slope - 2.0 * step))
+        return (
+            jnp.asarray(self.offset)
+            + left
+            + s * (slope + s * ((3.0 * step - 2.0 * slope - next_slope) + s * (slope + next_slope - 2.0 * step)))
         )
 
 
@@ -62,12 +73,23 @@ class TargetTable:
 class Task:
     """One interception, to be optimised from k starts."""
 
-    start: Float[AnyArray, "3"]
-    """Where the vehicle hovers [m, world]."""
+    start: FlatState
+    """Where the plan begins; its heading is held."""
     target: TargetTable
     world: World
     vehicle: Vehicle
     limits: Limits
+    max_tilt: Float[AnyArray, ""]
+    """Of the thrust from the vertical [rad]; far beyond 1.4 plans flip over and are not tracked."""
+    max_pitch: Float[AnyArray, ""]
+    """Of body x from the horizontal [rad]."""
+    max_body_rate: Float[AnyArray, ""]
+    """Fastest turn of the thrust [rad/s], against drag; may be infinite."""
+    body_samples: int = static(default=12)
+    """Instants of a segment at which the body is looked at."""
+    place_samples: int = static(default=36)
+    """Instants of a segment at which the distance to obstacles is: at 17 m/s and 0.3 s they are 0.14 m apart. With 12
+    vehicles cut the corners of walls."""
 
 
 class Variables(NamedTuple):
@@ -108,14 +130,15 @@ def meeting_time(variables: Variables) -> Float[Array, "k"]:
 def waypoints(task: Task, variables: Variables) -> Float[Array, "n 3 k"]:
     """The n = m + 1 waypoints, start and stop included [m, world]."""
     meet = task.target.at(meeting_time(variables)) + jnp.asarray(task.limits.meet_radius)[None] * variables.offset
-    start = jnp.broadcast_to(jnp.asarray(task.start)[:, None], meet.shape)
+    start = jnp.broadcast_to(jnp.asarray(task.start.pos)[:, None], meet.shape)
     return jnp.concatenate([start[None], variables.inner, meet[None], (meet + variables.stop)[None]])
 
 
 def splines(task: Task, variables: Variables) -> SplineBatch:
-    """The minimum-snap trajectories, with the heading held at 0."""
+    """The minimum-snap trajectories, with the heading held."""
     durations, points = jnp.exp(variables.log_durations), waypoints(task, variables)
     width = points.shape[-1]
-    position, _ = interpolate(durations, points, jnp.zeros((POSITION_ORDER, 3, width), points.dtype))
-    yaw = jnp.zeros((len(durations), 6, 1, width), points.dtype)
+    begin = task.start.repeated(width)
+    position, _ = interpolate(durations, points, jnp.asarray(begin.derivatives)[1:])
+    yaw = jnp.zeros((len(durations), 6, 1, width), points.dtype).at[:, 0, 0].set(jnp.asarray(begin.yaw)[0])
     return SplineBatch(durations=durations, position=position, yaw=yaw)

@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxplan.arrays import AnyArray, Scalar
+from jaxplan.optimizer.margins import Linearised
 from jaxplan.records import record
-from jaxplan.reference.margins import Linearised
 from jaxplan.validation import require_between, require_positive, require_within
 
 _SHRINKAGES = 0.5 ** np.arange(7)
@@ -61,41 +61,57 @@ class Linearise(Protocol):
         """k problems around k points."""
 
 
+class Descent(NamedTuple):
+    """Where the descents of k problems ended."""
+
+    x: Float[Array, "k v"]
+    objective: Float[Array, "k"]
+    least: Float[Array, "k"]
+    """Of the margins: the worst violation where it is negative."""
+
+
 class _State(NamedTuple):
     """Of the descents of k problems."""
 
-    x: Float[Array, "k v"]
+    found: Descent
     slack: Float[Array, "k"]
     barrier: Float[Array, "k"]
     damping: Float[Array, "k"]
 
 
-def descend(values: Values, linearise: Linearise, x: Float[Array, "k v"], config: DescentConfig) -> Float[Array, "k v"]:
-    """Local minima near k points; what violates its margins in the end has found no feasible one."""
-    _, margins = values(x)
+def descend(values: Values, linearise: Linearise, x: Float[Array, "k v"], config: DescentConfig) -> Descent:
+    """Local minima near k points; what violates its margins in the end has found no feasible one.
+
+    There is one call of each function in what is compiled: the first slack comes from the first linearisation.
+    """
+    nothing = jnp.zeros(len(x), x.dtype)
     begin = _State(
-        x=x,
-        slack=jnp.asarray(config.slack + jnp.maximum(-jnp.min(margins, axis=1), 0.0)),
+        found=Descent(x, nothing, nothing),
+        slack=nothing,
         barrier=jnp.full(len(x), config.barrier, x.dtype),
         damping=jnp.full(len(x), 1e-2, x.dtype),
     )
 
-    def step(_: Int[Array, ""], state: _State) -> _State:
-        return _step(values, linearise, state, config)
+    def step(index: Int[Array, ""], state: _State) -> _State:
+        around = linearise(state.found.x)
+        first = jnp.asarray(config.slack + jnp.maximum(-jnp.min(around.margins, axis=1), 0.0))
+        return _step(values, around, state._replace(slack=jnp.where(index == 0, first, state.slack)), config)
 
-    return jax.lax.fori_loop(0, config.iterations, step, begin).x
+    return jax.lax.fori_loop(0, config.iterations, step, begin).found
 
 
-def _step(values: Values, linearise: Linearise, state: _State, config: DescentConfig) -> _State:
+def _step(values: Values, around: Linearised, state: _State, config: DescentConfig) -> _State:
     """One damped Newton step, as long as is best of a few lengths."""
-    direction = _direction(linearise(state.x), state, config)
-    shares = jnp.concatenate([jnp.zeros(1), jnp.asarray(_SHRINKAGES)]).astype(state.x.dtype)
+    x, direction = state.found.x, _direction(around, state, config)
+    shares = jnp.concatenate([jnp.zeros(1), jnp.asarray(_SHRINKAGES)]).astype(x.dtype)
 
-    def tried(share: Float[Array, ""]) -> Float[Array, "k"]:
-        x, slack = state.x + share * direction[:, :-1], state.slack + share * direction[:, -1]
-        return _merit(*values(x), slack, state.barrier, config)
+    def tried(share: Float[Array, ""]) -> tuple[Float[Array, "k"], Descent]:
+        moved, slack = x + share * direction[:, :-1], state.slack + share * direction[:, -1]
+        objective, margins = values(moved)
+        merit = _merit(objective, margins, slack, state.barrier, config)
+        return merit, Descent(moved, objective, jnp.min(margins, axis=1))
 
-    merits = jax.lax.map(tried, shares)
+    merits, found = jax.lax.map(tried, shares)
     best = jnp.argmin(merits, axis=0)
     share = shares[best][:, None]
     moved = best > 0
@@ -105,7 +121,7 @@ def _step(values: Values, linearise: Linearise, state: _State, config: DescentCo
         state.damping * 10.0,
     )
     return _State(
-        x=state.x + share * direction[:, :-1],
+        found=jax.tree.map(lambda tries: tries[best, jnp.arange(len(x))], found),
         slack=state.slack + share[:, 0] * direction[:, -1],
         barrier=jnp.where(moved, jnp.maximum(config.rate * state.barrier, config.last_barrier), state.barrier),
         damping=jnp.clip(damping, 1e-8, 1e4),

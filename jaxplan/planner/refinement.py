@@ -1,0 +1,154 @@
+"""A chosen plan made sooner: waypoints, durations, meeting point and stop point optimised together (host).
+
+The policy allots times to all candidates at once, on waypoints of shortest paths. For the one that is chosen there is
+time for more: a few steps of ``jaxplan.optimizer`` from where the policy's plan is. The result is checked like any
+plan, and only taken where it is sooner.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxplan.optimizer.interior_point import DescentConfig
+from jaxplan.optimizer.margins import FARTHEST_STOP, LONGEST, SHORTEST
+from jaxplan.optimizer.problem import Limits, TargetTable, Variables, flatten
+from jaxplan.planner.border import usual_candidates, usual_state
+from jaxplan.planner.parts import Parts
+from jaxplan.planner.refined import Refined, RefinementConfig, Seed
+from jaxplan.planner.validator import Fault, ValidatorConfig, validate
+from jaxplan.prediction.candidates import Candidates, mean_motion
+from jaxplan.records import replace
+from jaxplan.spline import FlatState
+from jaxplan.status import Reason
+
+ROWS = 48
+"""Instants of the target's motion that the optimiser is told, evenly to the last candidates' (arbitrary)."""
+DESCENT = DescentConfig(barrier=3e-3, rate=0.75, slack=0.1)
+"""From plans that the policy allotted times to; found by trying on 33 of them (docs/decisions/0028)."""
+VIOLATION = 0.02
+"""A margin of the optimiser below 0 by less counts as kept: the last look decides (arbitrary)."""
+STOP_TIME, SHORT = 0.5, 0.2
+"""s; how long the way to rest takes where a plan rests at its goal, or is there sooner than the second (arbitrary)."""
+START_SPARE = 5e-3
+"""m; a plan that begins closer to an obstacle than it should keeps so much less than it has there (arbitrary)."""
+STILL = 1e-6
+"""rad/s; a plan that begins with a turning heading is not refined: the heading of refined ones is held."""
+
+
+class Expected(NamedTuple):
+    """The mean of the target's predicted motion, at even intervals from the plan's start on."""
+
+    interval: float
+    """[s]"""
+    position: Float[np.ndarray, "n 3"]
+    """[m]"""
+
+    @property
+    def horizon(self) -> float:
+        """Until when it is known [s]."""
+        return self.interval * (len(self.position) - 1)
+
+    def at(self, time: float) -> Float[np.ndarray, "3"]:
+        """Where the target is at one instant [s]."""
+        times = self.interval * np.arange(len(self.position))
+        return np.array([np.interp(time, times, self.position[:, axis]) for axis in range(3)])
+
+
+def refine(parts: Parts, state: FlatState, candidates: Candidates, seed: Seed) -> Refined | None:
+    """A plan that is sooner than ``seed`` where there is one, checked."""
+    config, expected = parts.config.refinement, None
+    state, candidates = usual_state(state), usual_candidates(candidates)
+    if config is not None and config.soonest <= seed.meeting and abs(float(state.yaw[1])) < STILL:
+        expected = _expected(candidates)
+    if config is None or parts.descend is None or expected is None:
+        return None
+    offset = np.asarray(seed.goal) - expected.at(seed.meeting)
+    target = TargetTable(
+        interval=np.asarray(expected.interval),
+        position=expected.position,
+        velocity=np.gradient(expected.position, expected.interval, axis=0),
+        offset=offset[:, None],
+    )
+    x = flatten(_variables(seed, expected.at(seed.meeting) + offset, config))
+    descent = replace(DESCENT, iterations=config.iterations)
+    found = parts.descend(parts.world, state, target, _limits(parts, state, config), np.asarray(x).T, descent)
+    time, spline = float(found.times[0]), found.splines.spline(0)
+    verdict = validate(spline, parts.room, parts.vehicle, parts.keep, _strict(parts, config), start=state)
+    late = Reason.ALPHA_LT_1 if time > expected.horizon else Reason(0)
+    unkept = Reason(0) if float(found.least[0]) >= -VIOLATION else Reason.LIMITS
+    return Refined(
+        spline=spline,
+        goal=expected.at(time) + offset,
+        arrival_time=time,
+        score=parts.config.likelihood_weight * seed.likelihood - time,
+        reasons=late | unkept | _against(verdict.faults),
+        clearance=verdict.clearance,
+    )
+
+
+def _strict(parts: Parts, config: RefinementConfig) -> ValidatorConfig:
+    """The last look's settings, for plans of which the optimiser has seen single instants only."""
+    return dataclasses.replace(parts.config.validator, most_excess=config.most_excess)
+
+
+def _against(faults: Fault) -> Reason:
+    """What the last look has found, as reasons against a plan."""
+    body = Reason.LIMITS if faults & (Fault.THRUST | Fault.ROTORS | Fault.SPEED) else Reason(0)
+    place = Reason.CLEARANCE if faults & Fault.CLEARANCE else Reason(0)
+    shape = Reason.NONFINITE if faults & (Fault.NONFINITE | Fault.STARTS_ELSEWHERE | Fault.NOT_SMOOTH) else Reason(0)
+    return body | place | shape
+
+
+def _expected(candidates: Candidates) -> Expected | None:
+    """From the candidates' mean; before the first of them the target comes as fast as it goes on.
+
+    None from fewer than two instants.
+    """
+    instants, means = mean_motion(candidates)
+    if len(instants) < 2 or instants[-1] <= 0.0:
+        return None
+    interval = float(instants[-1]) / (ROWS - 1)
+    times = interval * np.arange(ROWS)
+    position = np.stack([np.interp(times, instants, means[:, axis]) for axis in range(3)], axis=1)
+    early = np.minimum(times - instants[0], 0.0)[:, None]
+    return Expected(interval, position + early * (means[1] - means[0]) / (instants[1] - instants[0]))
+
+
+def _variables(seed: Seed, target: Float[np.ndarray, "3"], config: RefinementConfig) -> Variables:
+    """The seed's own waypoints at even intervals of time, for one start."""
+    spline, inner = seed.spline, config.segments - 1
+    rest = float(spline.duration) - seed.since - seed.meeting
+    rest = rest if rest >= SHORT else STOP_TIME
+    times = np.r_[np.linspace(0.0, seed.meeting, inner + 1), seed.meeting + rest]
+    points = np.asarray(spline.evaluate(seed.since + times))[:, :3]
+    durations = np.clip(np.diff(times), 1.05 * SHORTEST, 0.95 * LONGEST)
+    return Variables(
+        log_durations=np.log(durations)[:, None],
+        inner=points[1:-2, :, None],
+        offset=_shortened((points[-2] - target) / config.meet_radius, 0.9)[:, None],
+        stop=_shortened(points[-1] - points[-2], 0.9 * FARTHEST_STOP)[:, None],
+    )
+
+
+def _shortened(vector: Float[np.ndarray, "3"], most: float) -> Float[np.ndarray, "3"]:
+    """The vector, no longer than ``most``."""
+    return vector * min(1.0, most / max(float(np.linalg.norm(vector)), 1e-9))
+
+
+def _limits(parts: Parts, state: FlatState, config: RefinementConfig) -> Limits:
+    """What one plan keeps to: the planner's distances and some more, or what it has where it begins."""
+    keep = parts.keep
+    speed = float(np.linalg.norm(np.asarray(state.vel)))
+    own = float(parts.room.free_distance(np.asarray(state.pos)[None])[0])
+    spare = min(config.spare, own - float(keep.at(np.array([speed]))[0]) - START_SPARE)
+    numbers = {
+        "clearance": keep.least + spare,
+        "slow": keep.slow,
+        "per_speed": keep.per_speed,
+        "most": keep.most - keep.least,
+        "meet_radius": config.meet_radius,
+        "dilation": config.dilation,
+    }
+    return Limits(**{name: np.full(1, number) for name, number in numbers.items()})

@@ -1,0 +1,80 @@
+"""Where a cycle's plans begin, what it chooses among them, and from what a refinement of that begins."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxplan.planner import Approaches, Plans, Refined, Seed, Stops
+from jaxplan.prediction.candidates import Candidates
+from jaxplan.replanner.incumbent import Incumbent
+from jaxplan.replanner.records import CommittedPlan
+from jaxplan.spline import FlatState, PiecewisePolynomial
+
+
+class Start(NamedTuple):
+    """Where and how the plans of a cycle begin."""
+
+    state: FlatState
+    takeover: float
+    """[s]"""
+    deviation: float
+    """Of the vehicle from its reference [m]; 0 where it is not measured."""
+    measured: bool
+    """Whether they begin where the vehicle is, off the reference."""
+    wider: float
+    """What they keep from obstacles beyond the usual [m]."""
+
+
+class Chosen(NamedTuple):
+    """What a cycle commits."""
+
+    spline: PiecewisePolynomial
+    goal: Float[np.ndarray, "3"]
+    """[m]"""
+    arrival_time: float
+    """[s from the takeover]"""
+    slowdown: float
+    """Multiple of the least time that the trajectory takes."""
+    probability: float
+    """Of being tracked; NaN where no classifier was asked."""
+    candidate: int = -1
+    """Which one it is for; -1 for what is no candidate's own."""
+    sooner: float = 0.0
+    """By how much a refinement made it sooner [s]."""
+
+
+def chosen_from(among: Plans | Approaches | Stops, place: int, slowdown: float, candidate: int = -1) -> Chosen:
+    """One of the trajectories of a cycle."""
+    spline, time = among.spline(place), float(among.arrival_times[place])
+    return Chosen(spline, among.goals[place], time, slowdown, among.probability(place), candidate)
+
+
+def chosen_refined(refined: Refined, seed: Seed) -> Chosen:
+    """A refined plan, and by how much it is sooner than what it began from."""
+    sooner = seed.meeting - refined.arrival_time
+    return Chosen(refined.spline, refined.goal, refined.arrival_time, 1.0, np.nan, sooner=sooner)
+
+
+def seed_of_plan(among: Plans | Approaches, place: int, candidates: Candidates) -> Seed:
+    """A trajectory just planned; an approach is as late at its goal as it is."""
+    late = float(among.lateness[place]) if isinstance(among, Approaches) else 0.0
+    likelihood = float(np.asarray(candidates.likelihood)[place]) if isinstance(among, Plans) else 0.0
+    return Seed(
+        spline=among.spline(place),
+        since=0.0,
+        meeting=float(among.arrival_times[place]) + late,
+        goal=among.goals[place],
+        likelihood=likelihood,
+    )
+
+
+def seed_of_committed(plan: CommittedPlan, incumbent: Incumbent, takeover: float) -> Seed:
+    """What is left of a committed interception, for where the target is expected now."""
+    return Seed(
+        spline=plan.spline,
+        since=takeover - plan.start_time,
+        meeting=plan.arrival_time - takeover,
+        goal=incumbent.goal,
+        likelihood=incumbent.likelihood,
+    )
