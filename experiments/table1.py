@@ -79,6 +79,8 @@ class Config:
             values = getattr(self, name)
             if not values or not all(0.0 < value <= 50.0 for value in values) or len(set(values)) != len(values):
                 raise InputError(f"--{name}: have {values}, want numbers above 0 and at most 50, each once")
+        if self.refine and self.meet != "pass":
+            raise InputError(f"--refine: have --meet {self.meet}, want --meet pass")
         if not 1 <= self.targets <= 10:
             raise InputError(f"--targets: have {self.targets}, want 1 to 10")
         most = len(self.worlds) * self.targets * len(self.speeds) * len(self.departures)

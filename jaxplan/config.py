@@ -128,10 +128,7 @@ class InterceptConfig:
         _require_choice("heading", self.heading, HEADINGS)
         if self.allocate is not None:
             _require_choice("allocate", self.allocate, ALLOCATIONS)
-        if self.refine and (self.meet, self.heading) != ("pass", "hold"):
-            raise InputError(
-                f"--refine: have --meet {self.meet} and --heading {self.heading}; want --meet pass and --heading hold"
-            )
+        self._validate_refine()
         if self.speed is not None:
             _require_up_to("speed", self.speed, _FASTEST_TARGET, "m/s")
         _require_number("departure", self.departure, "a time in seconds")
@@ -140,6 +137,14 @@ class InterceptConfig:
         _require_start(self.start)
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < 2**32:
             raise _refusal("seed", self.seed, "a whole number from 0 to 4294967295")
+
+    def _validate_refine(self) -> None:
+        """Raise ``InputError`` for a refinement of plans that cannot be refined."""
+        if not isinstance(self.refine, bool):
+            raise _refusal("refine", self.refine, "true or false")
+        if self.refine and (self.meet, self.heading) != ("pass", "hold"):
+            have = f"--meet {self.meet} and --heading {self.heading}"
+            raise InputError(f"--refine: have {have}, want --meet pass and --heading hold")
 
     def _validate_log(self) -> None:
         """Raise ``InputError`` for words about a recorded flight that mean nothing."""

@@ -123,6 +123,7 @@ def cycle_as_json(cycle: Cycle) -> dict[str, Any]:
         "refused": cycle.refused,
         "deviation": cycle.deviation,
         "latency": cycle.latency,
+        "sooner": cycle.sooner,
     }
 
 
@@ -142,4 +143,5 @@ def cycle_from_json(values: dict[str, Any]) -> Cycle:
         refused=values["refused"],
         deviation=values["deviation"],
         latency=values["latency"],
+        sooner=values["sooner"],
     )

@@ -35,6 +35,7 @@ BAD: list[dict[str, Any]] = [
     {"meet": "crash"},
     {"heading": "down"},
     {"allocate": "network"},
+    {"refine": "often"},
 ]
 
 
@@ -43,6 +44,13 @@ def test_bad_values_are_named_with_what_is_wanted(fields: dict[str, Any]) -> Non
     (name,) = fields
     with pytest.raises(InputError, match=rf"^--{name}: have .*, want ") as caught:
         InterceptConfig(**fields)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("fields", [{"meet": "rest"}, {"meet": "match"}, {"heading": "path"}], ids=str)
+def test_only_what_passes_with_its_heading_held_is_refined(fields: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=r"^--refine: have .*, want ") as caught:
+        InterceptConfig(refine=True, **fields)
     assert "\n" not in str(caught.value)
 
 
