@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxplan.arrays import AnyArray, Scalar
 from jaxplan.optimizer.margins import Linearised
@@ -79,6 +79,19 @@ class _State(NamedTuple):
     damping: Float[Array, "k"]
 
 
+class _Search(NamedTuple):
+    """For the length of a step of k problems."""
+
+    turn: Int[Array, ""]
+    """Of the length that is tried next."""
+    merit: Float[Array, "k"]
+    """The best so far."""
+    found: Descent
+    """With that."""
+    best: Int[Array, "k"]
+    """Index of its length; -1: that of no step."""
+
+
 def descend(values: Values, linearise: Linearise, x: Float[Array, "k v"], config: DescentConfig) -> Descent:
     """Local minima near k points; what violates its margins in the end has found no feasible one.
 
@@ -101,30 +114,60 @@ def descend(values: Values, linearise: Linearise, x: Float[Array, "k v"], config
 
 
 def _step(values: Values, around: Linearised, state: _State, config: DescentConfig) -> _State:
-    """One damped Newton step, as long as is best of a few lengths."""
+    """One damped Newton step, of the length from which shorter ones are no better."""
     x, direction = state.found.x, _direction(around, state, config)
-    shares = jnp.concatenate([jnp.zeros(1), jnp.asarray(_SHRINKAGES)]).astype(x.dtype)
+    shares = jnp.asarray(_SHRINKAGES, x.dtype)
+    here = _merit(around.objective, around.margins, state.slack, state.barrier, config)
+    begin = _Search(
+        turn=jnp.zeros((), jnp.int32),
+        merit=here,
+        found=Descent(x, around.objective, jnp.min(around.margins, axis=1)),
+        best=jnp.full(len(x), -1, jnp.int32),
+    )
 
-    def tried(share: Float[Array, ""]) -> tuple[Float[Array, "k"], Descent]:
+    def going(search: _Search) -> Bool[Array, "k"]:
+        """Where the last length that was tried is the best so far, or none is any good, shorter ones may be better."""
+        return (search.best < 0) | (search.best == search.turn - 1)
+
+    def unfinished(search: _Search) -> Bool[Array, ""]:
+        return (search.turn < len(_SHRINKAGES)) & jnp.any(going(search))
+
+    def tried(search: _Search) -> _Search:
+        share = shares[search.turn]
         moved, slack = x + share * direction[:, :-1], state.slack + share * direction[:, -1]
         objective, margins = values(moved)
         merit = _merit(objective, margins, slack, state.barrier, config)
-        return merit, Descent(moved, objective, jnp.min(margins, axis=1))
+        better = going(search) & (merit < search.merit)
+        found = _where(better, Descent(moved, objective, jnp.min(margins, axis=1)), search.found)
+        return _Search(
+            turn=search.turn + 1,
+            merit=jnp.where(better, merit, search.merit),
+            found=found,
+            best=jnp.where(better, search.turn, search.best),
+        )
 
-    merits, found = jax.lax.map(tried, shares)
-    best = jnp.argmin(merits, axis=0)
-    share = shares[best][:, None]
-    moved = best > 0
+    search = jax.lax.while_loop(unfinished, tried, begin)
+    best, moved = search.best, search.best >= 0
+    share = jnp.where(moved, shares[best], 0.0)
     damping = jnp.where(
         moved,
-        jnp.where(best <= 1, state.damping / 4.0, jnp.where(best <= 3, state.damping, state.damping * 3.0)),
+        jnp.where(best == 0, state.damping / 4.0, jnp.where(best <= 2, state.damping, state.damping * 3.0)),
         state.damping * 10.0,
     )
     return _State(
-        found=jax.tree.map(lambda tries: tries[best, jnp.arange(len(x))], found),
-        slack=state.slack + share[:, 0] * direction[:, -1],
+        found=search.found,
+        slack=state.slack + share * direction[:, -1],
         barrier=jnp.where(moved, jnp.maximum(config.rate * state.barrier, config.last_barrier), state.barrier),
         damping=jnp.clip(damping, 1e-8, 1e4),
+    )
+
+
+def _where(new: Bool[Array, "k"], these: Descent, those: Descent) -> Descent:
+    """Of each problem one or the other."""
+    return Descent(
+        x=jnp.where(new[:, None], these.x, those.x),
+        objective=jnp.where(new, these.objective, those.objective),
+        least=jnp.where(new, these.least, those.least),
     )
 
 

@@ -40,6 +40,7 @@ _SIGNS = np.block([[np.kron(np.eye(2), _ONCE), np.zeros((20, 1))], [np.zeros((1,
 class Linearised(NamedTuple):
     """k problems around k points."""
 
+    objective: Float[Array, "k"]
     gradient: Float[Array, "k v"]
     """Of the objective."""
     curvature: Float[Array, "k v"]
@@ -84,6 +85,7 @@ def linearise(task: Task, x: Float[Array, "k v"]) -> Linearised:
     rows = [_rows(jnp.asarray(_SIGNS, x.dtype) @ body), _rows(PER_METRE * (slopes @ by_place - by_speed)), own_slopes]
     lengthening = _lengthening(x)
     return Linearised(
+        objective=meeting_time(unflatten(x.T)),
         gradient=lengthening,
         curvature=lengthening,
         margins=jnp.concatenate([_margins(task, bodies, distances - found.kept[:, :, None]), own.T], axis=1),

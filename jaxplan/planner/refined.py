@@ -21,7 +21,11 @@ class RefinementConfig:
     segments: int = 6
     """Of a refined plan, the one to its stop included."""
     meet_radius: float = 0.3
-    """How far from the predicted target [m] it may be met."""
+    """How far from the predicted target [m] it may be met, where its motion is known."""
+    caution: float = 1.0
+    """How much nearer [m] for each metre that the predicted positions are spread by then."""
+    least_radius: float = 0.02
+    """m; not nearer than this (arbitrary: the optimiser wants some room)."""
     spare: float = 0.05
     """Clearance [m] beyond what the checks ask for: what lies between samples."""
     max_pitch: float = 70.0
@@ -41,8 +45,8 @@ class RefinementConfig:
     def __post_init__(self) -> None:
         require_within("refinement", self, 1, 1000, "iterations")
         require_within("refinement", self, 3, 16, "segments")
-        require_positive("refinement", self, "meet_radius", "soonest", "max_pitch", "max_body_rate")
-        require_at_least("refinement", self, 0.0, "spare", "gain", "most_excess")
+        require_positive("refinement", self, "meet_radius", "least_radius", "soonest", "max_pitch", "max_body_rate")
+        require_at_least("refinement", self, 0.0, "spare", "gain", "most_excess", "caution")
         require_at_least("refinement", self, 1.0, "dilation")
 
 

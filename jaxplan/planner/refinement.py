@@ -17,12 +17,17 @@ from jaxplan.optimizer.problem import Limits, TargetTable, Variables, flatten
 from jaxplan.planner.border import usual_candidates, usual_state
 from jaxplan.planner.parts import Parts
 from jaxplan.planner.refined import Refined, RefinementConfig, Seed
+from jaxplan.planner.surroundings import surroundings
 from jaxplan.planner.validator import Fault, ValidatorConfig, validate
 from jaxplan.prediction.candidates import Candidates, mean_motion
 from jaxplan.records import replace
+from jaxplan.search.kernels.solids import Solids
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason
+from jaxplan.world.obstacles import World
 
+PLACES = 24
+"""Along the seed, around which the optimiser is told what is solid (arbitrary)."""
 ROWS = 48
 """Instants of the target's motion that the optimiser is told, evenly to the last candidates' (arbitrary)."""
 DESCENT = DescentConfig(barrier=3e-3, rate=0.75, slack=0.1)
@@ -44,6 +49,8 @@ class Expected(NamedTuple):
     """[s]"""
     position: Float[np.ndarray, "n 3"]
     """[m]"""
+    spread: Float[np.ndarray, "n"]
+    """Of the predicted positions around it [m]."""
 
     @property
     def horizon(self) -> float:
@@ -52,8 +59,16 @@ class Expected(NamedTuple):
 
     def at(self, time: float) -> Float[np.ndarray, "3"]:
         """Where the target is at one instant [s]."""
-        times = self.interval * np.arange(len(self.position))
-        return np.array([np.interp(time, times, self.position[:, axis]) for axis in range(3)])
+        return np.array([np.interp(time, self._times, self.position[:, axis]) for axis in range(3)])
+
+    def meet_radius(self, time: float, config: RefinementConfig) -> float:
+        """How far from there it may be met at that time [m]: the less certain it is, the nearer."""
+        spread = float(np.interp(time, self._times, self.spread))
+        return max(config.meet_radius - config.caution * spread, config.least_radius)
+
+    @property
+    def _times(self) -> Float[np.ndarray, "n"]:
+        return self.interval * np.arange(len(self.position))
 
 
 def refine(parts: Parts, state: FlatState, candidates: Candidates, seed: Seed) -> Refined | None:
@@ -71,9 +86,11 @@ def refine(parts: Parts, state: FlatState, candidates: Candidates, seed: Seed) -
         velocity=np.gradient(expected.position, expected.interval, axis=0),
         offset=offset[:, None],
     )
-    x = flatten(_variables(seed, expected.at(seed.meeting) + offset, config))
+    radius = expected.meet_radius(seed.meeting, config)
+    variables = _variables(seed, expected.at(seed.meeting) + offset, radius, config.segments)
     descent = replace(DESCENT, iterations=config.iterations)
-    found = parts.descend(parts.world, state, target, _limits(parts, state, config), np.asarray(x).T, descent)
+    world, limits = _world(parts, seed), _limits(parts, state, radius, config)
+    found = parts.descend(world, state, target, limits, np.asarray(flatten(variables)).T, descent)
     time, spline = float(found.times[0]), found.splines.spline(0)
     verdict = validate(spline, parts.room, parts.vehicle, parts.keep, _strict(parts, config), start=state)
     late = Reason.ALPHA_LT_1 if time > expected.horizon else Reason(0)
@@ -106,19 +123,20 @@ def _expected(candidates: Candidates) -> Expected | None:
 
     None from fewer than two instants.
     """
-    instants, means = mean_motion(candidates)
+    instants, means, spread = mean_motion(candidates)
     if len(instants) < 2 or instants[-1] <= 0.0:
         return None
     interval = float(instants[-1]) / (ROWS - 1)
     times = interval * np.arange(ROWS)
     position = np.stack([np.interp(times, instants, means[:, axis]) for axis in range(3)], axis=1)
     early = np.minimum(times - instants[0], 0.0)[:, None]
-    return Expected(interval, position + early * (means[1] - means[0]) / (instants[1] - instants[0]))
+    position += early * (means[1] - means[0]) / (instants[1] - instants[0])
+    return Expected(interval, position, np.interp(times, instants, spread))
 
 
-def _variables(seed: Seed, target: Float[np.ndarray, "3"], config: RefinementConfig) -> Variables:
+def _variables(seed: Seed, target: Float[np.ndarray, "3"], radius: float, segments: int) -> Variables:
     """The seed's own waypoints at even intervals of time, for one start."""
-    spline, inner = seed.spline, config.segments - 1
+    spline, inner = seed.spline, segments - 1
     rest = float(spline.duration) - seed.since - seed.meeting
     rest = rest if rest >= SHORT else STOP_TIME
     times = np.r_[np.linspace(0.0, seed.meeting, inner + 1), seed.meeting + rest]
@@ -127,9 +145,16 @@ def _variables(seed: Seed, target: Float[np.ndarray, "3"], config: RefinementCon
     return Variables(
         log_durations=np.log(durations)[:, None],
         inner=points[1:-2, :, None],
-        offset=_shortened((points[-2] - target) / config.meet_radius, 0.9)[:, None],
+        offset=_shortened((points[-2] - target) / radius, 0.9)[:, None],
         stop=_shortened(points[-1] - points[-2], 0.9 * FARTHEST_STOP)[:, None],
     )
+
+
+def _world(parts: Parts, seed: Seed) -> World:
+    """What is around the seed, without names, which would be part of what is compiled for."""
+    times = np.linspace(seed.since, max(seed.since, float(seed.spline.duration)), PLACES)
+    obstacles = surroundings(Solids(*parts.room.solids), np.asarray(seed.spline.evaluate(times))[:, :3])
+    return World(name="", bounds=parts.room.bounds, obstacles=obstacles, keep_in=np.asarray(parts.world.keep_in))
 
 
 def _shortened(vector: Float[np.ndarray, "3"], most: float) -> Float[np.ndarray, "3"]:
@@ -137,7 +162,7 @@ def _shortened(vector: Float[np.ndarray, "3"], most: float) -> Float[np.ndarray,
     return vector * min(1.0, most / max(float(np.linalg.norm(vector)), 1e-9))
 
 
-def _limits(parts: Parts, state: FlatState, config: RefinementConfig) -> Limits:
+def _limits(parts: Parts, state: FlatState, radius: float, config: RefinementConfig) -> Limits:
     """What one plan keeps to: the planner's distances and some more, or what it has where it begins."""
     keep = parts.keep
     speed = float(np.linalg.norm(np.asarray(state.vel)))
@@ -148,7 +173,7 @@ def _limits(parts: Parts, state: FlatState, config: RefinementConfig) -> Limits:
         "slow": keep.slow,
         "per_speed": keep.per_speed,
         "most": keep.most - keep.least,
-        "meet_radius": config.meet_radius,
+        "meet_radius": radius,
         "dilation": config.dilation,
     }
     return Limits(**{name: np.full(1, number) for name, number in numbers.items()})

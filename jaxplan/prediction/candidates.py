@@ -1,6 +1,6 @@
 """Goal candidates: where and when the target could be met (paper, Sec. III and III-C)."""
 
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import jax.numpy as jnp
 import numpy as np
@@ -70,25 +70,38 @@ def target_velocities(candidates: Candidates) -> Float[np.ndarray, "k 3"]:
 
     Where all goals have one arrival time nothing is known of it: 0.
     """
-    instants, means = mean_motion(candidates)
+    instants, means, _ = mean_motion(candidates)
     if len(instants) < 2:
         return np.zeros(np.shape(candidates.goals))
     column = np.searchsorted(instants, np.asarray(candidates.arrival_times))
     return np.asarray(np.gradient(means, instants, axis=0))[np.minimum(column, len(instants) - 1)]
 
 
-def mean_motion(candidates: Candidates) -> tuple[Float[np.ndarray, "i"], Float[np.ndarray, "i 3"]]:
-    """The instants [s] for which there are candidates, in order, and the mean of their goals [m] at each (host).
+class Motion(NamedTuple):
+    """Where the target is expected, by all candidates together."""
 
-    Nothing where a goal or a time is not finite.
+    instants: Float[np.ndarray, "i"]
+    """For which there are candidates, in order [s]."""
+    means: Float[np.ndarray, "i 3"]
+    """Of their goals [m, world]."""
+    spread: Float[np.ndarray, "i"]
+    """Root of the mean squared distance of the goals from that [m]."""
+
+
+def mean_motion(candidates: Candidates) -> Motion:
+    """The candidates' goals at each instant, in mean and spread (host).
+
+    No instants where a goal or a time is not finite.
     """
     goals, times = np.asarray(candidates.goals), np.asarray(candidates.arrival_times)
     if not (np.isfinite(goals).all() and np.isfinite(times).all()):
-        return np.zeros(0), np.zeros((0, 3))
+        return Motion(np.zeros(0), np.zeros((0, 3)), np.zeros(0))
     instants, column = np.unique(times, return_inverse=True)
-    sums = np.zeros((len(instants), 3))
+    sums, count = np.zeros((len(instants), 3)), np.bincount(column, minlength=1)[: len(instants)]
     np.add.at(sums, column, goals)
-    return instants, sums / np.bincount(column, minlength=1)[: len(instants), None]
+    means = sums / count[:, None]
+    squared = np.bincount(column, weights=((goals - means[column]) ** 2).sum(axis=1), minlength=len(instants))
+    return Motion(instants, means, np.sqrt(squared[: len(instants)] / count))
 
 
 def reject_early(

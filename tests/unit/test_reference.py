@@ -27,7 +27,7 @@ def disc(x: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 def linearised(x: jax.Array) -> Linearised:
     slope, jacobian = jax.vmap(jax.jacfwd(lambda row: tuple(part[0] for part in disc(row[None]))))(x)
-    return Linearised(slope, jnp.zeros_like(x), disc(x)[1], jacobian)
+    return Linearised(disc(x)[0], slope, jnp.zeros_like(x), disc(x)[1], jacobian)
 
 
 def test_the_descent_finds_scipys_optimum_from_feasible_and_infeasible_starts(x64: None) -> None:
