@@ -83,5 +83,10 @@ class Refined(NamedTuple):
 class Refine(Protocol):
     """Plans that meet the target sooner, from those that were chosen."""
 
-    def __call__(self, state: FlatState, candidates: Candidates, seed: Seed) -> Refined | None:
-        """As ``PlanBatch``; nothing where the planner does not refine, or where nothing is to be gained."""
+    def __call__(
+        self, state: FlatState, candidates: Candidates, seed: Seed, iterations: int | None = None
+    ) -> Refined | None:
+        """As ``PlanBatch``; nothing where the planner does not refine, or where nothing is to be gained.
+
+        ``iterations``: in the place of ``RefinementConfig.iterations``, where there is less time; compiles nothing.
+        """

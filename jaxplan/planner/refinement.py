@@ -71,7 +71,9 @@ class Expected(NamedTuple):
         return self.interval * np.arange(len(self.position))
 
 
-def refine(parts: Parts, state: FlatState, candidates: Candidates, seed: Seed) -> Refined | None:
+def refine(
+    parts: Parts, state: FlatState, candidates: Candidates, seed: Seed, iterations: int | None = None
+) -> Refined | None:
     """A plan that is sooner than ``seed`` where there is one, checked."""
     config, expected = parts.config.refinement, None
     state, candidates = usual_state(state), usual_candidates(candidates)
@@ -88,13 +90,13 @@ def refine(parts: Parts, state: FlatState, candidates: Candidates, seed: Seed) -
     )
     radius = expected.meet_radius(seed.meeting, config)
     variables = _variables(seed, expected.at(seed.meeting) + offset, radius, config.segments)
-    descent = replace(DESCENT, iterations=config.iterations)
+    descent = replace(DESCENT, iterations=config.iterations if iterations is None else iterations)
     world, limits = _world(parts, seed), _limits(parts, state, radius, config)
     found = parts.descend(world, state, target, limits, np.asarray(flatten(variables)).T, descent)
-    time, spline = float(found.times[0]), found.splines.spline(0)
+    time, spline = float(np.asarray(found.times)[0]), found.splines.spline(0)
     verdict = validate(spline, parts.room, parts.vehicle, parts.keep, _strict(parts, config), start=state)
     late = Reason.ALPHA_LT_1 if time > expected.horizon else Reason(0)
-    unkept = Reason(0) if float(found.least[0]) >= -VIOLATION else Reason.LIMITS
+    unkept = Reason(0) if float(np.asarray(found.least)[0]) >= -VIOLATION else Reason.LIMITS
     return Refined(
         spline=spline,
         goal=expected.at(time) + offset,

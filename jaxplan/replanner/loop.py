@@ -29,6 +29,7 @@ from jaxplan.replanner.choice import Chosen, Start, chosen_from, chosen_refined,
 from jaxplan.replanner.committed import CommittedPlans, hold
 from jaxplan.replanner.incumbent import NO_INCUMBENT, Incumbent, incumbent_among
 from jaxplan.replanner.measured import carried_on, usual_measured
+from jaxplan.replanner.pace import Pace
 from jaxplan.replanner.records import CommittedPlan, Cycle, Measured, ReplannerConfig
 from jaxplan.spline import FlatState
 from jaxplan.status import Note, PlanStatus, Reason, count_reasons
@@ -61,6 +62,7 @@ class Replanner:
         """Seconds from the next cycle's observations until its plan takes over."""
         self._predictor, self._clock = predictor, clock
         self._committed = CommittedPlans(start if isinstance(start, CommittedPlan) else hold(start))
+        self._pace = Pace()
         self._took: deque[float] = deque(maxlen=REMEMBERED)
         self._cycles = 0
         self._last = -np.inf
@@ -217,14 +219,28 @@ class Replanner:
 
     def _refined(self, start: Start, candidates: Candidates, seed: Seed, score: float, timer: Timer) -> Chosen | None:
         """An interception that is enough sooner than ``seed``, which is worth ``score``; None where there is none."""
-        refined = self.planner.refine(start.state, candidates, seed)
+        steps = self._steps(timer)
+        if steps == 0:
+            return None
+        before = timer.total
+        refined = self.planner.refine(start.state, candidates, seed, steps)
         timer.lap("refine")
+        if refined is not None and steps is not None:
+            self._pace.took(timer.total - before, steps)
         if refined is None or refined.reasons or not refined.score >= score + self.planner.config.least_gain:
             return None
         if self.planner.validate(refined.spline, 0.0, start.state, start.wider).faults:
             self._refused += 1
             return None
         return chosen_refined(refined, seed)
+
+    def _steps(self, timer: Timer) -> int | None:
+        """Of a refinement, for which there is time; None, which means all, where late plans are flown all the same."""
+        planned = self.planner.config.refinement
+        if not self.config.drop_late or planned is None:
+            return None
+        latency = 1e3 * self.latency
+        return min(self._pace.steps(latency - timer.total, latency), planned.iterations)
 
     def _best(self, among: Plans | Approaches, score: Float[np.ndarray, "k"], start: Start) -> int:
         """The usable trajectory of the largest score that passes the last look; -1 where there is none."""
