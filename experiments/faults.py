@@ -64,6 +64,9 @@ class Config:
     padding: float = closed_loop.PADDING
     """Distance [m] that goals and paths keep from obstacles."""
 
+    refine: bool = True
+    """Whether chosen plans are made sooner, as jaxplan intercept does; --refine=no leaves them as they are."""
+
     episodes: int = 30
     """Of each fault, Table I's."""
 
@@ -85,7 +88,7 @@ def artefacts(config: Config) -> list[Path]:
 def items(config: Config) -> list[Item]:
     """All episodes; those with a box have a planner of their own."""
     flown = {"worlds": config.worlds, "episodes": config.episodes, "planners": (config.planner,)}
-    chosen = table1.chosen(table1.Config(**flown, vehicle=config.vehicle, padding=config.padding))
+    chosen = table1.chosen(table1.Config(**flown, vehicle=config.vehicle, padding=config.padding, refine=config.refine))
     found = []
     for fault in sorted(config.faults, key=lambda name: (name in ROOM, FAULTS.index(name))):
         for episode in chosen:
@@ -99,7 +102,7 @@ def items(config: Config) -> list[Item]:
 def prepare(config: Config, group: str) -> None:
     """Compile what the episodes call."""
     for world in config.worlds:
-        defender = closed_loop.Defender(config.planner, vehicle=config.vehicle, padding=config.padding)
+        defender = closed_loop.Defender(config.planner, "pass", config.vehicle, config.padding, config.refine)
         closed_loop.warm_up(world, defender)
 
 

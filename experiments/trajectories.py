@@ -66,9 +66,9 @@ class Config:
         self.intercept()
 
     def intercept(self) -> InterceptConfig:
-        """The same as the options of an interception, checked."""
+        """The same as the options of an interception, checked; what is drawn are the planner's own trajectories."""
         names = {field.name for field in dataclasses.fields(self)} - {"moments"}
-        return InterceptConfig(**{name: getattr(self, name) for name in names})
+        return InterceptConfig(**{name: getattr(self, name) for name in names}, refine=False)
 
 
 def items(config: Config) -> list[Item]:

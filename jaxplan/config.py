@@ -85,9 +85,9 @@ class InterceptConfig:
     """Who allots the times: policy, the profile of speeds that one acceleration allows, or both in turn, which is the
     default; with --meet rest or no-policy it is the policy alone."""
 
-    refine: bool = False
-    """Whether chosen plans are made sooner, by optimising waypoints and times together; needs --meet pass and --heading
-    hold. The paper leaves them as the policy has them."""
+    refine: bool | None = None
+    """Whether chosen plans are made sooner, by optimising waypoints and times together. Default: with --meet pass and
+    --heading hold, which it needs. --refine=no leaves them as the policy has them, as in the paper."""
 
     speed: float | None = None
     """The target's maximum speed [m/s]. Default: 1 for a stored target, as recorded for a flight."""
@@ -140,11 +140,20 @@ class InterceptConfig:
 
     def _validate_refine(self) -> None:
         """Raise ``InputError`` for a refinement of plans that cannot be refined."""
-        if not isinstance(self.refine, bool):
+        if self.refine is not None and not isinstance(self.refine, bool):
             raise _refusal("refine", self.refine, "true or false")
-        if self.refine and (self.meet, self.heading) != ("pass", "hold"):
+        if self.refine and not self._refinable:
             have = f"--meet {self.meet} and --heading {self.heading}"
             raise InputError(f"--refine: have {have}, want --meet pass and --heading hold")
+
+    @property
+    def refines(self) -> bool:
+        """Whether chosen plans are refined, in the end."""
+        return self._refinable if self.refine is None else self.refine
+
+    @property
+    def _refinable(self) -> bool:
+        return (self.meet, self.heading) == ("pass", "hold")
 
     def _validate_log(self) -> None:
         """Raise ``InputError`` for words about a recorded flight that mean nothing."""

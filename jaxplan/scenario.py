@@ -143,7 +143,7 @@ def planner_config(config: InterceptConfig, exhaustive: bool = False) -> Planner
     usual = dataclasses.replace(usual, allocate=config.allocate or ("policy" if alone else "both"))
     if config.planner == "no-policy" and usual.allocate == "profile" and config.meet != "rest":
         usual = dataclasses.replace(usual, arrival=dataclasses.replace(usual.arrival, least_alpha=1.0))
-    if config.refine:
+    if config.refines:
         usual = dataclasses.replace(usual, refinement=RefinementConfig())
     return usual if config.meet != "rest" else dataclasses.replace(usual, arrival=ArrivalConfig())
 

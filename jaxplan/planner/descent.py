@@ -72,7 +72,7 @@ def compile_descent(config: RefinementConfig, vehicle: Vehicle) -> Descend:
             limits=limits,
             max_tilt=jnp.asarray(np.radians(MAX_TILT), variables.dtype),
             max_pitch=jnp.asarray(np.radians(config.max_pitch), variables.dtype),
-            max_body_rate=jnp.asarray(config.max_body_rate, variables.dtype),
+            max_body_rate=jnp.minimum(config.max_body_rate, config.max_lag / own.motor_time_constant),
             body_samples=BODY_SAMPLES,
             place_samples=PLACE_SAMPLES,
         )

@@ -33,6 +33,8 @@ class RefinementConfig:
     it is."""
     max_body_rate: float = 7.0
     """Fastest turn of the thrust [rad/s], against drag."""
+    max_lag: float = 0.14
+    """And how far it may turn within the motors' time constant [rad]: a vehicle is that much behind all the time."""
     dilation: float = 1.06
     """The body must be able to fly a plan so many times as fast as it is flown."""
     most_excess: float = 0.1
@@ -45,7 +47,9 @@ class RefinementConfig:
     def __post_init__(self) -> None:
         require_within("refinement", self, 1, 1000, "iterations")
         require_within("refinement", self, 3, 16, "segments")
-        require_positive("refinement", self, "meet_radius", "least_radius", "soonest", "max_pitch", "max_body_rate")
+        require_positive(
+            "refinement", self, "meet_radius", "least_radius", "soonest", "max_pitch", "max_body_rate", "max_lag"
+        )
         require_at_least("refinement", self, 0.0, "spare", "gain", "most_excess", "caution")
         require_at_least("refinement", self, 1.0, "dilation")
 

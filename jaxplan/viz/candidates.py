@@ -58,7 +58,7 @@ def candidate_curves(cycle: "Cycle", samples: int = 12) -> CandidateCurves:
     coefficients = np.asarray(plans.splines.position)[..., columns[traced]]
     powers = np.linspace(0.0, 1.0, samples)[:, None] ** np.arange(coefficients.shape[1])
     points = np.einsum("sn,mnak->kmsa", powers, coefficients)
-    curves = points.reshape(len(traced), -1, 3)
+    curves = points.reshape(len(traced), samples * len(coefficients), 3)
     finite = np.isfinite(curves).all(axis=(1, 2))
     usable = np.asarray(plans.reasons) == 0
     place = np.flatnonzero(traced == cycle.chosen)

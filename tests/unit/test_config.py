@@ -53,6 +53,10 @@ def test_only_what_passes_with_its_heading_held_is_refined(fields: dict[str, Any
         InterceptConfig(refine=True, **fields)
     assert "\n" not in str(caught.value)
 
+    assert not InterceptConfig(**fields).refines
+    assert InterceptConfig().refines
+    assert not InterceptConfig(refine=False).refines
+
 
 def test_defaults_and_good_values_pass() -> None:
     InterceptConfig().validate()

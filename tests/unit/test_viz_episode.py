@@ -162,6 +162,14 @@ def test_sampled_curves_are_the_splines() -> None:
     np.testing.assert_array_equal(curves.chosen, curves.curves[2])
 
 
+def test_a_cycle_in_which_nothing_is_traced_has_no_curves() -> None:
+    cycle = made_up_cycle(np.zeros(3), np.ones((6, 3)))
+    cycle.plans.trajectory = np.full(6, -1)
+    curves = candidate_curves(cycle)
+    assert curves.curves.shape[0] == 0
+    assert curves.chosen is None
+
+
 def test_a_lane_of_nan_is_left_out() -> None:
     cycle = made_up_cycle(np.zeros(3), np.ones((6, 3)))
     position = np.array(cycle.plans.splines.position)
