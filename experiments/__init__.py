@@ -15,4 +15,5 @@ NAMES = (
     "faults",
     "vehicles",
     "reference-times",
+    "foreign-plants",
 )
