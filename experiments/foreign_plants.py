@@ -67,6 +67,9 @@ class Config:
     predictor: str = "ground-truth"
     """What predicts the target."""
 
+    refine: bool = True
+    """Whether chosen plans are made sooner, as jaxplan intercept does; --refine=no leaves them as they are."""
+
     seed: int = 0
     """Of the random goals."""
 
@@ -90,7 +93,7 @@ def items(config: Config) -> list[Item]:
     if missing:
         raise ResourceError(f"foreign-plants: {missing[0]} is not installed; pip install 'jaxplan[peers]'")
     names = {"worlds": config.worlds, "episodes": config.episodes, "planners": (config.planner,)}
-    chosen = table1.chosen(table1.Config(**names))
+    chosen = table1.chosen(table1.Config(**names, refine=config.refine))
     batches = -(-config.policy_flights // AT_ONCE)
     found = []
     for place, world in enumerate(config.worlds):
@@ -106,7 +109,7 @@ def items(config: Config) -> list[Item]:
 
 def prepare(config: Config, group: str) -> None:
     """Compile what the episodes of a room call."""
-    closed_loop.warm_up(group, closed_loop.Defender(config.planner))
+    closed_loop.warm_up(group, closed_loop.Defender(config.planner, refine=config.refine))
 
 
 def evaluate(config: Config, item: Item) -> Row:
@@ -143,6 +146,7 @@ def _usable(config: Config, world: str, batch: int, count: int) -> list[Piecewis
         planner=config.planner,
         predictor="ground-truth",
         target=closed_loop.stored_targets(world)[0],
+        refine=config.refine,
         speed=3.0,
         departure=0.5,
         seed=0,
