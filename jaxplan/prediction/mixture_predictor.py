@@ -14,10 +14,41 @@ from jaxplan.prediction.target_model import TargetModel, check_model, window_coo
 from jaxplan.status import Note
 from jaxplan.world.obstacles import World
 
+LEAST_SEEN = 2
+"""Positions from which on a mixture is asked: with one nothing is known of the velocity."""
 _UNUSUAL = 10.0
 """Squared Mahalanobis distance per observed coordinate above which a window is unlike all that a mixture knows."""
 _EVEN = 1e-6
 """Seconds by which the spacing of observations may differ from ``dt``."""
+
+
+class WindowMixture:
+    """A mixture for windows of which only the newest positions may have been seen, on the device."""
+
+    def __init__(self, config: PredictionConfig, model: TargetModel, world: World | None) -> None:
+        """Raises InputError where the model is for other windows than those of ``config``, or for another room."""
+        check_model(model, observations=config.observations, steps=config.steps, dt=config.dt, world=world)
+        self._config, self._anchored = config, model.bounds is not None
+        counts = range(LEAST_SEEN, config.observations + 1)
+        self._mixtures = {seen: in_float64(jax.device_put)(model.conditional(seen)) for seen in counts}
+
+    def given(self, observations: Observations) -> tuple[ConditionalMixture, Float[np.ndarray, "p"]] | None:
+        """The mixture for so many positions, and what it is conditioned on; None where there are too few.
+
+        The latter is the newest position [m, world] and behind it the coordinates of the window.
+        """
+        times, positions = observations.times[-self._config.observations :], observations.positions
+        if len(times) < LEAST_SEEN or np.abs(np.diff(times) - self._config.dt).max() >= _EVEN:
+            return None
+        window = np.repeat(positions[-1:], self._config.observations, axis=0)
+        window[-len(times) :] = positions[-len(times) :]
+        seen = window_coordinates(window, self._config.observations, self._anchored)
+        return self._mixtures[len(times)], np.append(positions[-1], seen)
+
+    def is_unusual(self, observations: Observations, distance: float) -> bool:
+        """Whether this squared Mahalanobis distance is that of a window unlike all that the mixture knows."""
+        seen = min(len(observations.times), self._config.observations)
+        return not distance <= _UNUSUAL * 3 * (seen - 1 + self._anchored)
 
 
 def mixture_proposer(config: PredictionConfig, model: TargetModel, world: World | None) -> Proposer:
@@ -25,23 +56,20 @@ def mixture_proposer(config: PredictionConfig, model: TargetModel, world: World 
 
     Raises InputError where the model is for other windows than those of ``config``, or for another room.
     """
-    check_model(model, observations=config.observations, steps=config.steps, dt=config.dt, world=world)
-    mixture = model.conditional()
-    on_device = in_float64(jax.device_put)(mixture)
-    anchored, offsets, unusual = model.bounds is not None, config.offsets, model.observed * _UNUSUAL
+    mixture, offsets = WindowMixture(config, model, world), config.offsets
 
     @in_float64
     def propose(observations: Observations, rng: np.random.Generator) -> Proposal:
-        if not _complete(observations, config):
+        given = mixture.given(observations)
+        if given is None:
             return Proposal(constant_velocity(observations, offsets), None, Note.PREDICTOR_FALLBACK)
-        newest = observations.positions[-1]
-        observed = window_coordinates(observations.positions, config.observations, anchored)
         uniform, normal = draw_randoms(config.steps, config.batch, rng)
         randoms = np.concatenate([uniform[..., None], normal], axis=-1)
-        log_weights, means, scored, distance = conditional_draw(on_device, np.append(newest, observed), randoms)
-        if not float(distance) <= unusual:
+        log_weights, means, scored, distance = conditional_draw(*given, randoms)
+        if mixture.is_unusual(observations, float(distance)):
             return Proposal(constant_velocity(observations, offsets), None, Note.PREDICTOR_FALLBACK)
-        prediction = Prediction(offsets=offsets, log_weights=log_weights, means=means, factors=mixture.factors)
+        factors = np.asarray(given[0].factors)
+        prediction = Prediction(offsets=offsets, log_weights=log_weights, means=means, factors=factors)
         drawn = np.asarray(scored)
         return Proposal(prediction, Draws(drawn[..., :3], drawn[..., 3]))
 
@@ -68,10 +96,3 @@ def conditional_draw(
     goals = draw(log_weights, means, model.factors, randoms[..., 0], randoms[..., 1:])
     densities = log_density(log_weights, means, model.inverses, model.log_volumes, goals)
     return log_weights, means, jnp.concatenate([goals, densities[..., None]], axis=-1), distance
-
-
-def _complete(observations: Observations, config: PredictionConfig) -> bool:
-    """Whether these are N_obs positions at the intervals that a model was trained on."""
-    if len(observations.times) != config.observations:
-        return False
-    return bool(np.abs(np.diff(observations.times) - config.dt).max(initial=0.0) < _EVEN)

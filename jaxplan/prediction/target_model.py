@@ -57,9 +57,16 @@ class TargetModel:
         """Coordinates that are observed."""
         return 3 * (self.observations - 1) + (0 if self.bounds is None else 3)
 
-    def conditional(self) -> ConditionalMixture:
-        """The mixture made ready for conditioning on the observed coordinates."""
-        return conditional_mixture(self.weights, self.means, self.factors, self.observed)
+    def conditional(self, seen: int | None = None) -> ConditionalMixture:
+        """The mixture made ready for conditioning on the newest ``seen`` positions of a window; None: on all.
+
+        What a window has in the place of the others does not count, so that programs are the same for all.
+        """
+        counts = np.arange(self.observations - 1) >= self.observations - (self.observations if seen is None else seen)
+        coordinates = np.repeat(counts, 3)
+        if self.bounds is not None:
+            coordinates = np.append(np.ones(3, bool), coordinates)
+        return conditional_mixture(self.weights, self.means, self.factors, self.observed, coordinates)
 
 
 def window_coordinates(

@@ -12,6 +12,9 @@ from jaxplan.prediction.mixture import (
     draw,
     log_density,
 )
+from jaxplan.prediction.observations import Observations
+from jaxplan.prediction.predictors import build_predictor
+from jaxplan.prediction.protocol import PredictionConfig
 from jaxplan.prediction.target_model import shipped_model
 from oracles.mixture_conditional import conditional, mixture_log_density
 from tolerances import assert_close, tolerance
@@ -63,6 +66,26 @@ def test_shipped_models_condition_like_scipy(world, dt):
     flat = np.asarray(centres).transpose(2, 0, 1).reshape(len(wanted_centres), -1)
     likely = wanted_weights > np.log(1e-9)
     np.testing.assert_allclose(flat[likely], wanted_centres[likely], **REFERENCE)
+
+
+@pytest.mark.parametrize("count", [2, 5, 9])
+def test_with_fewer_positions_it_is_conditioned_on_these_alone(count):
+    """The newest positions of a window, against the mixture without the others."""
+    config, model = PredictionConfig(dt=0.2), shipped_model("env2", 0.2)
+    times = 0.2 * np.arange(10 - count, 10)
+    circle = np.stack([2.0 * np.cos(times), 2.0 * np.sin(times), 1.0 + 0.1 * times], axis=1)
+    observations = Observations(times=times, positions=circle)
+    kept = np.r_[0:3, 3 + 3 * (10 - count) : 30, 30 : 30 + 3 * config.steps]
+    covariances = model.factors @ model.factors.swapaxes(1, 2)
+    relative = observations.positions[:-1] - observations.positions[-1]
+    observed = np.append(observations.positions[-1], relative)
+    log_weights, centres, _ = conditional(
+        model.weights, model.means[:, kept], covariances[:, kept][:, :, kept], observed
+    )
+    wanted = (np.exp(log_weights) @ centres).reshape(-1, 3) + observations.positions[-1]
+    found = build_predictor("gmm", config, model=model).predict(observations).mean
+    # condition numbers of 1e9: another factorisation of the same matrix
+    assert_close(found, wanted, "solve")
 
 
 def test_log_density_equals_scipy():
