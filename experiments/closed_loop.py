@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxplan import config as intercept
 from jaxplan import interception
+from jaxplan.config import WITH_MODEL
 from jaxplan.errors import InputError
 from jaxplan.interception import Episode
 from jaxplan.io.targets import Target, load_target, stored_targets
@@ -31,7 +32,7 @@ from .plan_audit import audit
 LEARNED = tuple(name for name in intercept.PLANNERS if name != "no-policy")
 PLANNERS = (*intercept.PLANNERS, "profile", "optimiser", *LAWS)
 """Who allots the times; ``profile`` is what a vehicle of one's own is flown with, which nothing was learned for."""
-PREDICTORS = ("none", "ground-truth", "noisy-0.01", "noisy-0.05", "gmm", "constant-velocity")
+PREDICTORS = ("none", "ground-truth", "noisy-0.01", "noisy-0.05", "gmm", "particles", "constant-velocity")
 """``noisy-S`` has the standard deviation S [m] after one step; any S will do."""
 TIME_WEIGHT = 7.5e4
 """rho of the optimiser [m^2/s^8]: total times from rest are those of an earlier pretrained policy in the median of 200
@@ -169,7 +170,7 @@ def _predictor(scenario: Scenario, episode: EpisodeConfig, target: Target) -> St
     sigma = _sigma(name)
     if sigma:
         config, name = dataclasses.replace(config, sigma=sigma), "noisy"
-    model = shipped_model(episode.world, config.dt) if name == "gmm" else None
+    model = shipped_model(episode.world, config.dt) if name in WITH_MODEL else None
     return build_predictor(name, config, target.position, episode.seed, model, scenario.world)
 
 

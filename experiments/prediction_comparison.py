@@ -16,6 +16,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from jaxplan.config import WITH_MODEL
 from jaxplan.errors import InputError
 from jaxplan.io.target_log import read_target_log, resample
 from jaxplan.io.targets import load_target, stored_targets
@@ -40,7 +41,7 @@ SPEEDS = np.linspace(0.5, 5.5, 10)
 FLIGHT_INTERVAL = 0.1
 MOMENTS = {"env1": ("env1-05", 2.5, 9.4), "env2": ("env2-07", 3.0, 17.8), "env3": ("env3-06", 3.0, 24.8)}
 """Target, maximum speed [m/s] and time [s] that the picture shows."""
-SHOWN = ("constant-velocity", "ground-truth", "noisy", "gmm")
+SHOWN = ("constant-velocity", "ground-truth", "noisy", "gmm", "particles")
 PADDING = 0.5
 """As in ``PlannerConfig``: clearance of goals [m]."""
 
@@ -104,7 +105,7 @@ def panels(world: str) -> Iterator[PredictionPanel]:
     future = target.position(now + np.linspace(0.0, config.offsets[-1], 100))
     rejected, farthest = in_float64(jax.jit(reject_early, static_argnums=3)), in_float64(jax.jit(reach))
     for kind in SHOWN:
-        model = shipped_model(world, config.dt) if kind == "gmm" else None
+        model = shipped_model(world, config.dt) if kind in WITH_MODEL else None
         candidates = build_predictor(kind, config, target.position, model=model, world=room)(seen, 0)
         within = farthest(load_vehicle(), np.float64(0.0), np.asarray(candidates.arrival_times))
         reasons = np.asarray(rejected(candidates, room, np.asarray(room.start), PADDING, within).reasons)

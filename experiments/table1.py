@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxplan.config import Meet
+from jaxplan.config import WITH_MODEL, Meet
 from jaxplan.errors import InputError
 from jaxplan.feasibility.checkpoint import WEIGHTS as CLASSIFIERS
 from jaxplan.io.targets import stored_targets
@@ -170,7 +170,7 @@ def artefacts(config: Config) -> list[Path]:
     """Weights and mixtures that the cells use."""
     models = Path(target_model.__file__).parent / "models"
     files = [folder / f"{planner}.npz" for planner in config.planners for folder in (WEIGHTS, CLASSIFIERS)]
-    if "gmm" in config.predictors:
+    if set(WITH_MODEL) & set(config.predictors):
         files += [models / f"{world}.npy" for world in config.worlds]
     return [path for path in files if path.is_file()]
 

@@ -7,8 +7,10 @@ from typing import Any, Literal, get_args
 from jaxplan.errors import InputError
 from jaxplan.validation import checks_itself
 
-Predictor = Literal["none", "ground-truth", "noisy", "constant-velocity", "constant-acceleration", "gmm"]
+Predictor = Literal["none", "ground-truth", "noisy", "constant-velocity", "constant-acceleration", "gmm", "particles"]
 PREDICTORS: tuple[Predictor, ...] = get_args(Predictor)
+WITH_MODEL = ("gmm", "particles")
+"""Those that take a target model."""
 Planner = Literal["no-policy", "pretrained", "mfrl"]
 PLANNERS: tuple[Planner, ...] = get_args(Planner)
 Meet = Literal["pass", "rest", "match"]
@@ -117,8 +119,10 @@ class InterceptConfig:
         _require_choice("predictor", self.predictor, PREDICTORS)
         if self.target_model is not None:
             _require_name("target-model", self.target_model)
-            if self.predictor != "gmm":
-                raise _refusal("target-model", self.target_model, "none unless the predictor is gmm")
+            if self.predictor not in WITH_MODEL:
+                raise _refusal(
+                    "target-model", self.target_model, f"none unless the predictor is {' or '.join(WITH_MODEL)}"
+                )
         _require_name("vehicle", self.vehicle)
         _require_up_to("padding", self.padding, _LARGEST_PADDING, "m")
         if self.planner is not None:

@@ -21,7 +21,7 @@ POSITION_NOISE = 0.01
 
 def constant_velocity(observations: Observations, offsets: Float[np.ndarray, "s"]) -> Prediction:
     """Straight on from the newest position; its variance grows as if an unknown acceleration lasted."""
-    velocity = _derivatives(observations, VELOCITY_FROM, degree=1)[0]
+    velocity = newest_velocity(observations)
     means = observations.positions[-1] + offsets[:, None] * velocity
     return _isotropic(means, offsets, float(np.linalg.norm(velocity)))
 
@@ -33,10 +33,20 @@ def constant_acceleration(observations: Observations, offsets: Float[np.ndarray,
     return _isotropic(means, offsets, float(np.linalg.norm(velocity)))
 
 
+def newest_velocity(observations: Observations) -> Float[np.ndarray, "3"]:
+    """Of the target now [m/s, world]; 0 where it was seen once."""
+    velocity: Float[np.ndarray, "3"] = _derivatives(observations, VELOCITY_FROM, degree=1)[0]
+    return velocity
+
+
+def expected_acceleration(speed: float) -> float:
+    """Deviation [m/s^2] of each coordinate of an unknown acceleration, at this speed [m/s]."""
+    return LEAST_ACCELERATION + speed**2 / TURN_RADIUS
+
+
 def _isotropic(means: Float[np.ndarray, "s 3"], offsets: Float[np.ndarray, "s"], speed: float) -> Prediction:
     """One isotropic normal distribution for each offset, as wide as turns of the usual radius allow."""
-    acceleration = LEAST_ACCELERATION + speed**2 / TURN_RADIUS
-    deviations = np.sqrt(POSITION_NOISE**2 + (0.5 * acceleration * offsets**2) ** 2)
+    deviations = np.sqrt(POSITION_NOISE**2 + (0.5 * expected_acceleration(speed) * offsets**2) ** 2)
     return Prediction(
         offsets=offsets,
         log_weights=np.zeros(1),

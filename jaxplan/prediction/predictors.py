@@ -16,6 +16,7 @@ from jaxplan.prediction.kinematic import constant_acceleration, constant_velocit
 from jaxplan.prediction.mixture import Prediction, density_terms, draw, draw_randoms, log_density
 from jaxplan.prediction.mixture_predictor import mixture_proposer
 from jaxplan.prediction.observations import Observations
+from jaxplan.prediction.particles import particle_proposer
 from jaxplan.prediction.protocol import Draws, PredictionConfig, Proposal, Proposer, StepPredictor
 from jaxplan.prediction.target_model import TargetModel, shipped_model
 from jaxplan.records import replace
@@ -156,6 +157,11 @@ def _gmm(config: PredictionConfig, sources: Sources) -> Proposer:
     return mixture_proposer(config, sources.mixture(config.dt), sources.world)
 
 
+def _particles(config: PredictionConfig, sources: Sources) -> Proposer:
+    """Where the mixture's flights go that hit nothing."""
+    return particle_proposer(config, sources.mixture(config.dt), sources.world)
+
+
 PREDICTORS: Mapping[str, PredictorKind] = {
     "none": PredictorKind(_none),
     "ground-truth": PredictorKind(_ground_truth),
@@ -163,6 +169,7 @@ PREDICTORS: Mapping[str, PredictorKind] = {
     "constant-velocity": PredictorKind(_constant_velocity),
     "constant-acceleration": PredictorKind(_constant_acceleration),
     "gmm": PredictorKind(_gmm, sampling=True, learned=True),
+    "particles": PredictorKind(_particles, sampling=True, learned=True),
 }
 """By the name that ``--predictor`` takes, in the order of ``jaxplan.config.PREDICTORS``."""
 
