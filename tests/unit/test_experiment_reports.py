@@ -159,7 +159,10 @@ def test_an_experiment_of_which_nothing_is_left_names_the_first_failure(name: st
     """Every stored report, where all of its items failed."""
     found = load_experiment(name)
     config = found.presets["smoke"]
-    items = found.items(config)
+    try:
+        items = found.items(config)
+    except ResourceError as error:  # it flies in what an extra installs
+        pytest.skip(str(error))
     why = {item.name: f"NotImplementedError: number {place}" for place, item in enumerate(items)}
     lost = Results(config, items, [None] * len(items), [0.0] * len(items), [False] * len(items), why, {})
     with pytest.raises(IncompleteError, match="items failed.*NotImplementedError: number 0; what is finished is kept"):
