@@ -23,7 +23,7 @@ from experiments.reference_times_report import stored_references
 from experiments.table1_report import PAPER, by_cell, report
 from jaxplan import cli
 from jaxplan import config as intercept
-from jaxplan.errors import FileError, IncompleteError, InputError
+from jaxplan.errors import FileError, IncompleteError, InputError, ResourceError
 from jaxplan.minsnap.single import minimum_snap
 from jaxplan.runner.definition import Results
 from jaxplan.runner.registry import experiment_names, load_experiment
