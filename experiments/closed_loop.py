@@ -25,7 +25,7 @@ from jaxplan.vehicle.identity import identify
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import ENVIRONMENTS
 
-from .guidance import LAWS, Guidance
+from .guidance import LAWS, Guidance, law_named
 from .optimiser import optimiser_policy
 from .plan_audit import audit
 
@@ -124,7 +124,7 @@ def warm_up(world: str, defender: Defender) -> None:
 def fly(episode: EpisodeConfig) -> Episode:
     """Fly an episode; its result depends on nothing but ``episode``."""
     scenario = scenario_of(episode)
-    guide = Guidance(episode.planner, scenario.start) if episode.planner in LAWS else None
+    guide = Guidance(law_named(episode.planner), scenario.start) if episode.planner in LAWS else None
     return interception.fly(scenario, guide=guide)
 
 
@@ -158,7 +158,7 @@ def scenario_of(episode: EpisodeConfig) -> Scenario:
     """What an episode flies, for those that change some of it."""
     target = load_target(episode.target, world=episode.world, speed=episode.speed)
     defender = Defender(episode.planner, episode.meet, episode.vehicle, episode.padding, episode.refine)
-    scenario = _scenario(episode.world, defender)
+    scenario = scenario_in(episode.world, defender)
     predictor = scenario.predictor if episode.planner in LAWS else _predictor(scenario, episode, target)
     return dataclasses.replace(
         scenario, target=target, departure=episode.departure, seed=episode.seed, predictor=predictor
@@ -179,8 +179,8 @@ def _sigma(predictor: str) -> float | None:
     return float(found.group(1)) if found else None
 
 
-def _scenario(world: str, defender: Defender) -> Scenario:
-    """The planner in this world, with what it has compiled in others."""
+def scenario_in(world: str, defender: Defender) -> Scenario:
+    """The planner in a stored world, with what it has compiled in others; target and predictor are anyone's."""
     known = _scenarios(defender)
     if world not in known:
         other = next(iter(known.values()), None)

@@ -1,10 +1,10 @@
-"""Baselines that plan nothing: pure pursuit and proportional navigation, straight at the target.
+"""Baselines that plan nothing: pure pursuit and proportional navigation, straight at the target or around obstacles.
 
 They see what a planner sees of the target and nothing of the room. The acceleration that is commanded every cycle is
 reached at the end of the cycle, so that the reference is continuous up to its acceleration.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -14,13 +14,20 @@ from jaxplan.prediction.observations import Observations
 from jaxplan.replanner import CommittedPlan, Measured, ReplannerConfig
 from jaxplan.spline import FlatState
 
+from .routing import Aim
+
 LAWS = ("pursuit", "navigation")
+FAST = "fast-navigation"
+"""Proportional navigation with all that is left of the acceleration along the line of sight: the idea of fast response
+proportional navigation (Pliska et al., IEEE RA-L 2024), with gains of ours."""
 NAVIGATION_CONSTANT = 3.0
 """N of proportional navigation; 3 to 5 is usual (Zarchan, Tactical and Strategic Missile Guidance)."""
 RESPONSE = 0.4
 """Seconds in which an error of the velocity would be made up for (arbitrary)."""
 ADVANTAGE, LEAST_SPEED, MOST_SPEED = 1.5, 3.0, 8.0
 """Closing speed: this many times the target's speed, within these limits [m/s] (arbitrary)."""
+FASTEST = 12.0
+"""m/s from which fast navigation asks for no more speed (arbitrary: the rotors fight drag from there on)."""
 MOST_ACCELERATION = 8.0
 """m/s^2, which leaves the rotors a reserve (arbitrary)."""
 
@@ -34,10 +41,32 @@ class Leg(NamedTuple):
     jerk: Float[np.ndarray, "3"]
 
 
+@runtime_checkable
+class Law(Protocol):
+    """Decides from cycle to cycle how to accelerate."""
+
+    def __call__(self, state: Float[np.ndarray, "5 3"], observations: Observations, /) -> Float[np.ndarray, "3"]:
+        """The acceleration to be reached within a cycle [m/s^2] from a state of position to snap [SI]."""
+
+
+def law_named(name: str, aim: Aim | None = None) -> Law:
+    """Pursuit or a kind of navigation; ``aim`` says where to fly first instead of straight at the target."""
+
+    def law(state: Float[np.ndarray, "5 3"], observations: Observations) -> Float[np.ndarray, "3"]:
+        target = observations.positions[-1]
+        velocity = np.asarray(constant_velocity(observations, np.ones(1)).means)[0, :, 0] - target
+        corner = None if aim is None else aim(state[0], target)
+        if corner is not None:
+            return command("pursuit", corner - state[0], -state[1], state[1], np.zeros(3))
+        return command(name, target - state[0], velocity - state[1], state[1], velocity)
+
+    return law
+
+
 class Guidance:
     """Stands where a ``Replanner`` stands in an episode."""
 
-    def __init__(self, law: str, start: FlatState) -> None:
+    def __init__(self, law: Law, start: FlatState) -> None:
         self.config, self._law, self._yaw = ReplannerConfig(), law, np.asarray(start.yaw)
         at_rest = np.stack([np.asarray(start.pos), np.zeros(3), np.zeros(3)])
         self._legs = [Leg(-np.inf, at_rest, np.zeros(3))]
@@ -63,9 +92,7 @@ class Guidance:
     def step(self, now: float, observations: Observations, measured: Measured | None = None) -> None:
         """Command an acceleration for the coming cycle."""
         state = self._state(self._legs[-1], now)
-        target = observations.positions[-1]
-        velocity = np.asarray(constant_velocity(observations, np.ones(1)).means)[0, :, 0] - target
-        wanted = command(self._law, target - state[0], velocity - state[1], state[1], velocity)
+        wanted = self._law(state, observations)
         self._legs.append(Leg(now, state[:3], (wanted - state[2]) / self.config.period))
 
     def _state(self, leg: Leg, time: float) -> Float[np.ndarray, "5 3"]:
@@ -89,6 +116,7 @@ def command(
     """The acceleration [m/s^2] that a law asks for.
 
     Args:
+        law: one of ``LAWS``, or ``FAST``.
         apart: from the defender to the target [m].
         relative: the target's velocity less the defender's [m/s]; ``own`` and ``target`` are the two.
     """
@@ -97,6 +125,12 @@ def command(
     speed = float(np.clip(ADVANTAGE * np.linalg.norm(target), LEAST_SPEED, MOST_SPEED))
     if law == "pursuit":
         wanted = (speed * sight - own) / RESPONSE
+    elif law == FAST:
+        turning = np.cross(apart, relative) / distance**2
+        wanted = NAVIGATION_CONSTANT * float(np.linalg.norm(relative)) * np.cross(turning, sight)
+        across = min(float(np.linalg.norm(wanted)), MOST_ACCELERATION)
+        if float(own @ sight) < FASTEST:
+            wanted += np.sqrt(MOST_ACCELERATION**2 - across**2) * sight
     else:
         closing = -float(relative @ sight)
         turning = np.cross(apart, relative) / distance**2

@@ -96,7 +96,7 @@ def build_scenario(config: InterceptConfig, *, exhaustive: bool = False, planner
     config = with_a_planner(config, vehicle)
     how = LogFormat(config.time_unit, config.frame, config.columns)
     target = load_target(config.target, world=world.name, speed=config.speed, log=how)
-    distance = _distance_in(world)
+    distance = distance_in(world)
     planning = planner_config(config, exhaustive)
     _check_target(target, world, distance)
     start = _start(config, world, target, planning.padding)
@@ -157,7 +157,7 @@ def predictor_for(config: InterceptConfig, world: World, target: Target) -> Step
     return build_predictor(config.predictor, prediction, target.position, config.seed, model, world)
 
 
-def _distance_in(world: World) -> DistanceFunction:
+def distance_in(world: World) -> DistanceFunction:
     """The world is handed to the device once."""
     with jax.enable_x64(True):
         on_device = jax.device_put(world)

@@ -7,7 +7,7 @@
 from jaxplan.interception.episode import fly, run, warm_up
 from jaxplan.interception.judging import INTERCEPTION_RADIUS
 from jaxplan.interception.realtime import run_in_real_time
-from jaxplan.interception.records import Episode, Flight, Guide, Progress, RealTime, Watch
+from jaxplan.interception.records import Episode, Flight, Guide, Progress, React, RealTime, Watch
 
 __all__ = [
     "INTERCEPTION_RADIUS",
@@ -15,6 +15,7 @@ __all__ = [
     "Flight",
     "Guide",
     "Progress",
+    "React",
     "RealTime",
     "Watch",
     "fly",

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from jaxplan.compilation import compilations
 from jaxplan.config import InterceptConfig
 from jaxplan.interception.judging import flight_rows, measured_state, until_decided
-from jaxplan.interception.records import Episode, Flight, Guide, Progress, Watch, tell_nobody
+from jaxplan.interception.records import Episode, Flight, Guide, Progress, React, Watch, tell_nobody
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.stream import ObservationStream
 from jaxplan.replanner import Replanner
@@ -51,6 +51,7 @@ def fly(
     *,
     guide: Guide | None = None,
     watch: Watch | None = None,
+    react: React | None = None,
     warmup_s: float = 0.0,
 ) -> Episode:
     """Fly a scenario until it is decided.
@@ -60,6 +61,7 @@ def fly(
         progress: told after every cycle.
         guide: what commands the defender instead of a ``Replanner`` with the scenario's planner and predictor.
         watch: what sees the target, instead of a sensor that sees it exactly and at once.
+        react: told in every cycle where the defender is, after that has decided; what makes targets evade.
         warmup_s: wall time spent before, for the record.
     """
     compiled, began = compilations(), time.perf_counter()
@@ -73,6 +75,8 @@ def fly(
         observations = stream.observe(now)
         if observations is not None and now >= scenario.departure - 1e-9:
             cycles.append(guide.step(now, observations, measured_state(state, scenario.vehicle)))
+        if react is not None:
+            react(now, np.asarray(state.pos, dtype=float), np.asarray(state.vel, dtype=float))
         times = scenario.control_times(now)
         reference = guide.reference(times)
         state, log = scenario.plant.fly(state, reference)

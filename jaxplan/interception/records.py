@@ -49,6 +49,14 @@ class Watch(Protocol):
         """Add to the stream what is seen at ``now`` [s] of a target that is there [m]."""
 
 
+@runtime_checkable
+class React(Protocol):
+    """What a target makes of the defender."""
+
+    def __call__(self, now: float, position: Float[np.ndarray, "3"], velocity: Float[np.ndarray, "3"], /) -> None:
+        """Decide how it flies from ``now`` [s] until the next cycle; the defender is there [m], at a velocity [m/s]."""
+
+
 class Flight(NamedTuple):
     """What was flown: one row per control step (200 Hz), at the end of the step."""
 

@@ -133,7 +133,7 @@ def test_every_cell_flies_the_same_episodes_and_groups_are_together() -> None:
 
 def test_guidance_is_continuous_and_heads_for_the_target() -> None:
     for law in guidance.LAWS:
-        pilot = guidance.Guidance(law, hover(np.array([0.0, 0.0, 1.0])))
+        pilot = guidance.Guidance(guidance.law_named(law), hover(np.array([0.0, 0.0, 1.0])))
         now, target = 0.0, np.array([6.0, 3.0, 1.5])
         for cycle in range(12):
             now = 0.1 * cycle
