@@ -121,7 +121,6 @@ def numbers(episode: Episode) -> Row:
     apart = np.linalg.norm(flight.position - flight.target, axis=1)[begun]
     relative = np.linalg.norm(flight.velocity[-1] - flight.target_velocity[-1])
     status = [cycle.status for cycle in episode.cycles]
-    took = [sum(cycle.stage_ms.values()) for cycle in episode.cycles]
     return {
         "outcome": episode.outcome,
         "time_s": float(flight.times[-1]) - episode.scenario.departure if episode.success else None,
@@ -134,7 +133,6 @@ def numbers(episode: Episode) -> Row:
         "committed": sum(one in (PlanStatus.INTERCEPT, PlanStatus.APPROACH) for one in status),
         "outside": sum(cycle.rejected.get("goal_outside", 0) for cycle in episode.cycles),
         "candidates": sum(cycle.generated for cycle in episode.cycles),
-        "cycle_ms": float(np.median(took)) if took else None,
     }
 
 
