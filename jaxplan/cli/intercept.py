@@ -50,7 +50,7 @@ def intercept(
     from jaxplan.metrics import episode_metrics
 
     with OutputFolder(config.out) as folder:
-        with _progress_bar() as progress:
+        with progress_bar() as progress:
             fly = interception.run_in_real_time if realtime else interception.run
             episode = fly(config, progress=progress)
         metrics = episode_metrics(episode)
@@ -93,6 +93,7 @@ def write_results(folder: "OutputFolder", config: InterceptConfig, episode: "Epi
     """Stage all files of one episode; metrics.json is the last, so its presence vouches for the others."""
     import numpy as np
 
+    from jaxplan.io.cycles import saved_cycles, write_cycles
     from jaxplan.io.files import write_json, write_tum
     from jaxplan.io.plans import write_plans
     from jaxplan.viz.episode import draw_episode
@@ -104,6 +105,8 @@ def write_results(folder: "OutputFolder", config: InterceptConfig, episode: "Epi
     folder.write("flown.csv", lambda path: write_tum(path, times, flight.position, flight.quat_wxyz))
     folder.write("target.csv", lambda path: write_tum(path, times, flight.target, upright))
     folder.write("plans.npz", lambda path: write_plans(path, episode.plans))
+    cycles = saved_cycles(episode.cycles, episode.observations, episode.plans, episode.scenario.predictor)
+    folder.write("cycles.npz", lambda path: write_cycles(path, cycles))
     folder.write("episode.png", lambda path: draw_episode(episode, metrics, path))
     folder.write("metrics.json", lambda path: write_json(path, metrics))
 
@@ -138,7 +141,7 @@ def _number(value: float | None, digits: int = 3) -> str:
 
 
 @contextlib.contextmanager
-def _progress_bar() -> Iterator["Progress"]:
+def progress_bar() -> Iterator["Progress"]:
     """A bar on stderr, where that is a terminal."""
     from tqdm import tqdm
 

@@ -7,12 +7,14 @@
 from jaxplan.interception.episode import fly, run, warm_up
 from jaxplan.interception.judging import INTERCEPTION_RADIUS
 from jaxplan.interception.realtime import run_in_real_time
-from jaxplan.interception.records import Episode, Flight, Guide, Progress, React, RealTime, Watch
+from jaxplan.interception.records import FLYING, Episode, Flight, Follow, Guide, Progress, React, RealTime, Watch
 
 __all__ = [
+    "FLYING",
     "INTERCEPTION_RADIUS",
     "Episode",
     "Flight",
+    "Follow",
     "Guide",
     "Progress",
     "React",

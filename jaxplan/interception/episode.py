@@ -9,7 +9,7 @@ from jaxtyping import Float
 from jaxplan.compilation import compilations
 from jaxplan.config import InterceptConfig
 from jaxplan.interception.judging import flight_rows, measured_state, until_decided
-from jaxplan.interception.records import Episode, Flight, Guide, Progress, React, Watch, tell_nobody
+from jaxplan.interception.records import FLYING, Episode, Flight, Follow, Guide, Progress, React, Watch, tell_nobody
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.stream import ObservationStream
 from jaxplan.replanner import Replanner
@@ -51,6 +51,7 @@ def fly(
     *,
     guide: Guide | None = None,
     watch: Watch | None = None,
+    follow: Follow | None = None,
     react: React | None = None,
     warmup_s: float = 0.0,
 ) -> Episode:
@@ -61,6 +62,7 @@ def fly(
         progress: told after every cycle.
         guide: what commands the defender instead of a ``Replanner`` with the scenario's planner and predictor.
         watch: what sees the target, instead of a sensor that sees it exactly and at once.
+        follow: shown the episode after every period.
         react: told in every cycle where the defender is, after that has decided; what makes targets evade.
         warmup_s: wall time spent before, for the record.
     """
@@ -68,13 +70,30 @@ def fly(
     report, guide, watch = progress or tell_nobody, guide or _replanner(scenario), watch or _see
     target, period = scenario.target, scenario.replanning.period
     state = scenario.plant.reset(scenario.start, jax.random.key(scenario.seed))
-    stream, cycles, flights, outcome = ObservationStream(scenario.stream), [], [], None
+    stream, cycles, seen, flights = ObservationStream(scenario.stream), [], [], []
+
+    def episode(outcome: str) -> Episode:
+        decided = [(cycle, given) for cycle, given in zip(cycles, seen, strict=True) if cycle is not None]
+        return Episode(
+            outcome=outcome,
+            flight=Flight(*(np.concatenate(rows) for rows in zip(*flights, strict=True))),
+            replans=len(cycles),
+            cycles=tuple(cycle for cycle, _ in decided),
+            plans=tuple(guide.plans[1:]),
+            scenario=scenario,
+            warmup_s=warmup_s,
+            wall_s=time.perf_counter() - began,
+            compilations_after_warmup=compilations() - compiled,
+            observations=tuple(given for _, given in decided),
+        )
+
     for index in range(int(np.ceil(target.duration / period))):
         now = index * period
         watch(stream, now, target.position(np.array([now]))[0])
         observations = stream.observe(now)
         if observations is not None and now >= scenario.departure - 1e-9:
             cycles.append(guide.step(now, observations, measured_state(state, scenario.vehicle)))
+            seen.append(observations)
         if react is not None:
             react(now, np.asarray(state.pos, dtype=float), np.asarray(state.vel, dtype=float))
         times = scenario.control_times(now)
@@ -83,19 +102,11 @@ def fly(
         flight, outcome = until_decided(flight_rows(times[1:], log, np.asarray(reference.pos)[1:], scenario), scenario)
         flights.append(flight)
         report("flying", (now + period) / target.duration)
+        if follow is not None:
+            follow(episode(outcome or FLYING))
         if outcome:
-            break
-    return Episode(
-        outcome=outcome or ("target_ended" if guide.ever_planned else "no_plan"),
-        flight=Flight(*(np.concatenate(rows) for rows in zip(*flights, strict=True))),
-        replans=len(cycles),
-        cycles=tuple(cycle for cycle in cycles if cycle is not None),
-        plans=tuple(guide.plans[1:]),
-        scenario=scenario,
-        warmup_s=warmup_s,
-        wall_s=time.perf_counter() - began,
-        compilations_after_warmup=compilations() - compiled,
-    )
+            return episode(outcome)
+    return episode("target_ended" if guide.ever_planned else "no_plan")
 
 
 def _see(stream: ObservationStream, now: float, position: Float[np.ndarray, "3"]) -> None:

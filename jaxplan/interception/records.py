@@ -13,6 +13,9 @@ from jaxplan.runtime import RuntimeStatus
 from jaxplan.scenario import Scenario
 from jaxplan.spline import FlatState
 
+FLYING = "flying"
+"""The outcome of an episode that is not over."""
+
 
 @runtime_checkable
 class Progress(Protocol):
@@ -57,6 +60,14 @@ class React(Protocol):
         """Decide how it flies from ``now`` [s] until the next cycle; the defender is there [m], at a velocity [m/s]."""
 
 
+@runtime_checkable
+class Follow(Protocol):
+    """Shown an episode while it is flown."""
+
+    def __call__(self, so_far: "Episode", /) -> None:
+        """The episode as it is after a period; its outcome is ``FLYING`` until it is decided."""
+
+
 class Flight(NamedTuple):
     """What was flown: one row per control step (200 Hz), at the end of the step."""
 
@@ -99,7 +110,7 @@ class Episode(NamedTuple):
     """The result of one interception."""
 
     outcome: str
-    """intercepted, collision, tracking_lost, target_ended or no_plan."""
+    """intercepted, collision, tracking_lost, target_ended or no_plan; ``FLYING`` before one of these."""
     flight: Flight
     replans: int
     """How many times the guide decided."""
@@ -115,6 +126,8 @@ class Episode(NamedTuple):
     compilations_after_warmup: int
     real_time: RealTime | None = None
     """None where time stood still for the planner."""
+    observations: tuple[Observations, ...] = ()
+    """What each cycle decided from; empty where nobody kept it."""
 
     @property
     def success(self) -> bool:

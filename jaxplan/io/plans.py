@@ -11,6 +11,7 @@ from jaxplan.arrays import AnyArray
 from jaxplan.errors import FileError
 from jaxplan.files import LARGEST_ARCHIVE, read_arrays, read_limited
 from jaxplan.spline import PiecewisePolynomial, concatenate
+from jaxplan.status import PlanStatus
 
 if TYPE_CHECKING:
     from jaxplan.replanner import CommittedPlan
@@ -26,6 +27,31 @@ class SavedPlan(NamedTuple):
     """When it takes over [s on the episode's clock]."""
     spline: PiecewisePolynomial
     """Position [m, world] and yaw [rad], without padding."""
+
+
+class SavedCommitment(NamedTuple):
+    """A committed plan with all that stands beside it."""
+
+    start_time: float
+    """As ``SavedPlan``."""
+    spline: PiecewisePolynomial
+    goal: tuple[float, float, float]
+    """Where the target is expected [m, world]."""
+    arrival_time: float
+    """When it is expected there [s on the episode's clock]."""
+    alpha: float
+    """How many times slower than at its least time the plan is flown; NaN for a stop."""
+    probability: float
+    """Of being tracked; NaN where no classifier was asked."""
+    status: PlanStatus
+    """What the cycle came to that committed it."""
+
+
+def saved_commitment(plan: "CommittedPlan") -> SavedCommitment:
+    """A committed plan as ``read_commitments`` would read it."""
+    x, y, z = np.asarray(plan.goal, dtype=float).tolist()
+    said = (float(plan.arrival_time), float(plan.alpha), float(plan.probability), plan.status)
+    return SavedCommitment(float(plan.start_time), plan.spline, (x, y, z), *said)
 
 
 def write_plans(path: Path, plans: "Sequence[CommittedPlan]") -> None:
@@ -56,29 +82,35 @@ def read_plans(path: Path) -> list[SavedPlan]:
     Raises:
         FileError: there is no such file, or it holds something else.
     """
+    return [SavedPlan(plan.start_time, plan.spline) for plan in read_commitments(path)]
+
+
+def read_commitments(path: Path) -> list[SavedCommitment]:
+    """As ``read_plans``, with what stands beside each plan."""
     path = path / "plans.npz" if path.is_dir() else path
     content = read_limited(path, LARGEST_ARCHIVE, "a plans.npz that jaxplan intercept wrote")
     try:
         arrays = read_arrays(content)
-        starts, *rows = (np.asarray(arrays[name], float) for name in ("start_time", "durations", "position", "yaw"))
-        plans = [_saved(start, *row) for start, *row in zip(starts.tolist(), *rows, strict=True)]
+        splines = [np.asarray(arrays[name], float) for name in ("durations", "position", "yaw")]
+        said = [np.asarray(arrays[name], float).tolist() for name in ("goal", "arrival_time", "alpha", "probability")]
+        status = [PlanStatus(value) for value in arrays["status"].tolist()]
+        starts = np.asarray(arrays["start_time"], float).tolist()
+        rows = zip(starts, zip(*splines, strict=True), *said, status, strict=True)
+        plans = [SavedCommitment(start, _saved(*spline), (x, y, z), *rest) for start, spline, (x, y, z), *rest in rows]
     except Exception as error:  # whatever a damaged archive raises
         raise FileError(f"{path}: is no plans.npz of jaxplan intercept ({error}); give another file") from error
-    if not all(np.isfinite(part).all() for _, spline in plans for part in (spline.position, spline.durations)):
+    if not all(np.isfinite(part).all() for plan in plans for part in (plan.spline.position, plan.spline.durations)):
         raise FileError(f"{path}: has a plan with NaN or infinite numbers; give another file")
     return plans
 
 
 def _saved(
-    start: float,
-    durations: Float[np.ndarray, "m"],
-    position: Float[np.ndarray, "m n 3"],
-    yaw: Float[np.ndarray, "m k"],
-) -> SavedPlan:
+    durations: Float[np.ndarray, "m"], position: Float[np.ndarray, "m n 3"], yaw: Float[np.ndarray, "m k"]
+) -> PiecewisePolynomial:
     real = durations > 0.0
     if not real.any():
         raise ValueError("a plan without duration")
-    return SavedPlan(start, PiecewisePolynomial(durations=durations[real], position=position[real], yaw=yaw[real]))
+    return PiecewisePolynomial(durations=durations[real], position=position[real], yaw=yaw[real])
 
 
 def commanded(plans: Sequence[SavedPlan]) -> SavedPlan:

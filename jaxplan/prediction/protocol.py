@@ -106,10 +106,14 @@ class StepPredictor:
         """Where the target may be ``config.offsets`` after the newest observation."""
         return self.propose(observations, np.random.default_rng(self.seed)).prediction
 
+    def proposal(self, observations: Observations, cycle: int) -> Proposal:
+        """What cycle number ``cycle`` makes of these observations; the same whenever it is asked."""
+        return self.propose(usual_observations(observations), np.random.default_rng((self.seed, cycle)))
+
     def __call__(self, observations: Observations, cycle: int) -> Candidates:
         """Goals for the coming steps; with the bit TARGET_LOST, and no place, once the target is silent too long."""
         observations = usual_observations(observations)
-        prediction, draws, note = self.propose(observations, np.random.default_rng((self.seed, cycle)))
+        prediction, draws, note = self.proposal(observations, cycle)
         offsets = np.asarray(prediction.offsets)
         if draws is None:
             draws = Draws(np.asarray(prediction.means).swapaxes(1, 2), np.zeros((len(offsets), 1)))
