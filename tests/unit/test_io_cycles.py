@@ -18,64 +18,15 @@ from jaxplan.io.cycles import (
     write_cycles,
 )
 from jaxplan.minsnap.spline_batch import SplineBatch
-from jaxplan.planner import Plans
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.predictors import build_predictor
 from jaxplan.prediction.protocol import PredictionConfig
 from jaxplan.records import replace
-from jaxplan.replanner import CommittedPlan, Cycle
-from jaxplan.selection import Margins
-from jaxplan.status import Note, PlanStatus, Reason, count_reasons
+from jaxplan.status import Note
+from made_up import committed, cycle, planned
 
 DIGITS = 6e-5
 """m; four digits are kept."""
-
-
-def planned(rng: np.random.Generator, count: int = 90) -> Plans:
-    """Candidates of which the first two thirds have a curved trajectory of 1 to 2 s, each with a stop in it."""
-    traced = 2 * count // 3
-    position = 0.3 * rng.normal(size=(2, 10, 3, traced))
-    durations = rng.uniform(0.5, 1.0, size=(2, traced))
-    reasons = rng.choice([0, Reason.CLEARANCE, Reason.LIMITS | Reason.BODY_RATE], size=count).astype(np.uint32)
-    reasons[traced:] = np.uint32(Reason.OUTRANKED)
-    unknown = np.full(traced, np.nan)
-    return Plans(
-        goals=rng.normal(size=(count, 3)),
-        arrival_times=rng.uniform(1.0, 2.0, size=count),
-        reasons=reasons,
-        score=np.zeros(count),
-        alpha=np.ones(count),
-        trajectory=np.where(np.arange(count) < traced, np.arange(count), -1),
-        splines=SplineBatch(durations=durations, position=position, yaw=np.zeros((2, 6, 1, traced))),
-        margins=Margins(
-            deviation=unknown,
-            clearance=unknown,
-            rotor_speed=unknown,
-            probability=unknown,
-            reasons=np.zeros(traced, dtype=np.uint32),
-        ),
-    )
-
-
-def cycle(time: float, plans: Plans | None, chosen: int = -1, **changes: Any) -> Cycle:
-    usual: dict[str, Any] = {
-        "time": time,
-        "status": PlanStatus.INTERCEPT if chosen >= 0 else PlanStatus.KEPT_COMMITTED,
-        "plans": plans,
-        "chosen": chosen,
-        "stage_ms": {"predict": 1.5, "search": 2.25},
-        "generated": 0 if plans is None else len(plans.reasons),
-        "rejected": {} if plans is None else count_reasons(plans.reasons),
-        "jump": np.zeros(5) if chosen >= 0 else None,
-        "latency": 0.1,
-        "deviation": 0.02,
-    }
-    return Cycle(**usual | changes)
-
-
-def committed(start: float) -> CommittedPlan:
-    spline = planned(np.random.default_rng(9)).spline(0)
-    return CommittedPlan(start, spline, np.ones(3), start + 1.0, 1.2, PlanStatus.INTERCEPT)
 
 
 @pytest.fixture
