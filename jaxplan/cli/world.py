@@ -38,6 +38,6 @@ def world(file: str, *, padding: float = 0.5, out: str = "world.png", debug: boo
         print(cells)
     targets = [load_target(name, world=file) for name in stored_targets(file)]
     curves = {target.name: target.position(np.linspace(0.0, target.duration, 400)) for target in targets}
-    draw_world_picture(read, Path(out), curves)
+    draw_world_picture(read, Path(out), curves, padding)
     print(f"picture   {out}")
     return 0

@@ -1,10 +1,11 @@
 """A world drawn in two dimensions: seen from above (x, y) or from the side (x, z).
 
 What the section plane cuts is filled; what lies in front of it or behind it is an outline. A surface mesh is its
-section in dark lines over its sharp edges in light ones.
+section, filled where that is closed, over its sharp edges.
 """
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -19,16 +20,31 @@ from jaxplan.world.obstacles import DistanceGrid, Mesh, World
 FILL, EDGE, FAINT = "#b9bec6", "#5b626c", "#d4d8de"
 SHARP_COSINE = np.cos(np.radians(25.0))
 """Edges between faces that turn by more than this are drawn (arbitrary)."""
+_FINE = 500
+"""Rows and columns by which a mesh's section is filled (arbitrary)."""
 _CIRCLE = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
 
 Solid = Float[np.ndarray, "p 3"]
 """Points [m, world] whose convex hull is an obstacle."""
 
 
-def draw_world(axes: Axes, world: World, across: int, level: float) -> None:
+class Surface(NamedTuple):
+    """Triangles, counter-clockwise seen from outside where there is an outside."""
+
+    vertices: Float[np.ndarray, "v 3"]
+    """Metres, world."""
+    faces: Int[np.ndarray, "f 3"]
+
+
+def draw_world(axes: Axes, world: World, across: int, level: float, free: Float[np.ndarray, "3"] | None = None) -> None:
     """Draw the room and its obstacles, projected along axis ``across`` (2: from above, 1: from the side).
 
-    ``level`` is where the section plane is on that axis [m].
+    Args:
+        axes: to draw on.
+        world: the room.
+        across: the axis that is looked along.
+        level: where the section plane is on that axis [m].
+        free: a place that is in no obstacle [m], where one is known: a mesh may be the room's own shell.
     """
     shown = [axis for axis in range(3) if axis != across]
     lower, upper = np.asarray(world.bounds, dtype=float)
@@ -44,7 +60,43 @@ def draw_world(axes: Axes, world: World, across: int, level: float) -> None:
         edges = sharp_edges(world.mesh)[..., shown]
         cuts = section(world.mesh, across, level)[..., shown]
         axes.add_collection(LineCollection(list(edges), colors=FAINT, linewidths=0.6, zorder=1.4), autolim=False)
-        axes.add_collection(LineCollection(list(cuts), colors=EDGE, linewidths=1.6, zorder=1.6), autolim=False)
+        axes.add_collection(LineCollection(list(cuts), colors=EDGE, linewidths=1.2, zorder=1.6), autolim=False)
+        _fill_section(axes, cuts, (lower[shown], upper[shown]), None if free is None else free[shown])
+
+
+def _fill_section(
+    axes: Axes,
+    cuts: Float[np.ndarray, "n 2 2"],
+    corners: tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]],
+    free: Float[np.ndarray, "2"] | None,
+) -> None:
+    """Fill what a mesh's section encloses, apart from where ``free`` is."""
+    (left, low), (right, high) = corners
+    columns = np.linspace(left, right, _FINE)
+    inside = enclosed(cuts, columns, np.linspace(low, high, _FINE))
+    if free is not None and enclosed(cuts, free[:1], free[1:])[0, 0]:
+        inside = ~inside
+    image = np.ma.masked_where(~inside, np.ones(inside.shape))
+    extent = (left, right, low, high)
+    axes.imshow(image, origin="lower", extent=extent, cmap=ListedColormap([FILL]), aspect="auto", zorder=1.5)
+
+
+def enclosed(
+    cuts: Float[np.ndarray, "n 2 2"], columns: Float[np.ndarray, "c"], rows: Float[np.ndarray, "r"]
+) -> Bool[np.ndarray, "r c"]:
+    """Whether segments enclose the points of a grid: an odd number of them lies to the right.
+
+    A row that crosses an odd number of segments meets an outline that is not closed, and encloses nothing.
+    """
+    found = np.zeros((len(rows), len(columns)), dtype=bool)
+    (x0, y0), (x1, y1) = cuts[:, 0].T, cuts[:, 1].T
+    for index, y in enumerate(rows):
+        crossed = (y0 > y) != (y1 > y)
+        share = (y - y0[crossed]) / (y1 - y0)[crossed]
+        places = np.sort(x0[crossed] + share * (x1 - x0)[crossed])
+        if len(places) % 2 == 0:
+            found[index] = np.searchsorted(places, columns) % 2 == 1
+    return found
 
 
 def _draw_voxels(axes: Axes, voxels: DistanceGrid, across: int, level: float) -> None:
@@ -99,7 +151,7 @@ def section(mesh: Mesh, across: int, level: float) -> Float[np.ndarray, "n 2 3"]
     return np.stack(ends, axis=1)
 
 
-def sharp_edges(mesh: Mesh) -> Float[np.ndarray, "n 2 3"]:
+def sharp_edges(mesh: Mesh | Surface) -> Float[np.ndarray, "n 2 3"]:
     """The mesh's borders and the edges between faces that are not nearly coplanar: segments [m, world]."""
     vertices, faces = _welded(mesh)
     normals = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
@@ -118,7 +170,7 @@ def _is_sharp(summed: Float[np.ndarray, "n 3"], counts: Int[np.ndarray, "n"]) ->
     return (counts != 2) | (np.abs(cosine) < SHARP_COSINE)
 
 
-def _welded(mesh: Mesh) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
+def _welded(mesh: Mesh | Surface) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
     """Vertices with duplicates merged, as ``.stl`` files repeat them for every triangle."""
     vertices = np.round(np.asarray(mesh.vertices, dtype=float), 6)
     unique, inverse = np.unique(vertices, axis=0, return_inverse=True)

@@ -1,12 +1,10 @@
 """A world as triangles, for those who draw in three dimensions: what is solid, and what the planner keeps out of."""
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
-from jaxplan.viz.scene import solids
+from jaxplan.viz.scene import Surface, solids
 from jaxplan.world.obstacles import World
 from jaxplan.world.occupancy import exact_clearance
 
@@ -16,14 +14,6 @@ _NODES = 150_000
 """Nodes of the grid by which the padding is traced (arbitrary)."""
 _SPACING = 0.12
 """m between them, where that is not too many."""
-
-
-class Surface(NamedTuple):
-    """Triangles, counter-clockwise seen from outside where there is an outside."""
-
-    vertices: Float[np.ndarray, "v 3"]
-    """Metres, world."""
-    faces: Int[np.ndarray, "f 3"]
 
 
 NOTHING = Surface(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))

@@ -1,6 +1,7 @@
 """A picture of a world: from above and from the side, with the padded map and, where given, target trajectories."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -8,10 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
-from jaxplan.viz.scene import draw_world
+from jaxplan.viz.scene import EDGE, FAINT, FILL, draw_world
 from jaxplan.world.obstacles import World
-from jaxplan.world.occupancy import occupancy_lattices
+from jaxplan.world.occupancy import PADDING, occupancy_lattices
 
 _WIDTH = 9.0
 """Inches."""
@@ -20,10 +23,19 @@ _RESOLUTION = 0.1
 """m; of the padded map."""
 
 
-def draw_world_picture(world: World, path: Path, curves: dict[str, Float[np.ndarray, "n 3"]] | None = None) -> None:
+def draw_world_picture(
+    world: World,
+    path: Path,
+    curves: dict[str, Float[np.ndarray, "n 3"]] | None = None,
+    padding: float = PADDING,
+) -> None:
     """Write a PNG: the section at the start's height (or half-way up), and the side view half-way through.
 
-    Yellow: what the planner keeps out of at that height. ``curves`` are target trajectories by name [m].
+    Args:
+        world: what is drawn.
+        path: where to.
+        curves: target trajectories by name [m].
+        padding: what the planner keeps from obstacles [m], drawn in yellow.
     """
     lower, upper = np.asarray(world.bounds, dtype=float)
     width, depth, height = upper - lower
@@ -33,12 +45,12 @@ def draw_world_picture(world: World, path: Path, curves: dict[str, Float[np.ndar
     figure = Figure(figsize=(_WIDTH, 0.9 * _WIDTH * (depth + height) / width + 1.4), layout="constrained")
     FigureCanvasAgg(figure)
     above, side = figure.subplots(2, 1, height_ratios=[depth, max(height, 0.12 * depth)])
-    grid = occupancy_lattices(world, (_RESOLUTION,))[0]
+    grid = occupancy_lattices(world, (_RESOLUTION,), padding)[0]
     for axes, across in ((above, 2), (side, 1)):
         shown = [axis for axis in range(3) if axis != across]
         index = min(int((levels[across] - grid.origin[across]) / grid.resolution), grid.shape[across] - 1)
         _draw_padding(axes, np.take(grid.near_obstacle, index, axis=across), lower[shown])
-        draw_world(axes, world, across, levels[across])
+        draw_world(axes, world, across, levels[across], None if world.start is None else np.asarray(world.start))
         for number, (name, curve) in enumerate((curves or {}).items()):
             axes.plot(*curve[:, shown].T, color=f"C{number % 10}", linewidth=1.1, label=name, zorder=3)
             axes.plot(*curve[:1, shown].T, "o", color=f"C{number % 10}", markersize=4, zorder=3)
@@ -51,9 +63,21 @@ def draw_world_picture(world: World, path: Path, curves: dict[str, Float[np.ndar
     side.set_xlabel("x [m]")
     title = f"{world.name}: section at z = {levels[2]:.2f} m, and side view at y = {levels[1]:.2f} m"
     above.set_title(title, fontsize=10)
-    if curves:
-        figure.legend(*above.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=8)
+    _draw_legend(figure, above, world, padding)
     figure.savefig(path, dpi=110)
+
+
+def _draw_legend(figure: Figure, above: Axes, world: World, padding: float) -> None:
+    """What is filled, what is padding, where the start is, and the curves by their names."""
+    entries: list[tuple[Any, str]] = [
+        (Patch(facecolor=FILL, edgecolor=EDGE), "obstacle, cut"),
+        (Line2D([], [], color=FAINT), "obstacle above, below or behind"),
+        (Patch(facecolor=_PADDED, alpha=0.35), f"padding: closer than {padding:g} m to an obstacle"),
+    ]
+    if world.start is not None:
+        entries.append((Line2D([], [], marker="^", ls="none", color="black", ms=7), "start"))
+    entries += list(zip(*above.get_legend_handles_labels(), strict=True))
+    figure.legend(*zip(*entries, strict=True), loc="outside lower center", ncols=4, fontsize=8, frameon=False)
 
 
 def _draw_padding(axes: Axes, padded: Bool[np.ndarray, "a b"], lower: Float[np.ndarray, "2"]) -> None:

@@ -13,7 +13,7 @@ from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.status import PlanStatus, Reason
 from jaxplan.viz.candidates import candidate_curves, illustrative_cycle
 from jaxplan.viz.episode import OUTCOMES, draw_episode
-from jaxplan.viz.scene import section, sharp_edges, solids
+from jaxplan.viz.scene import draw_world, enclosed, section, sharp_edges, solids
 from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import (
     Boxes,
@@ -225,3 +225,26 @@ def test_the_sharp_edges_of_a_cube_are_its_twelve() -> None:
     lengths = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
     np.testing.assert_allclose(lengths, 1.0)
     assert len(edges) == 12
+
+
+def test_what_a_section_encloses() -> None:
+    """A unit square in a ring of 4 m: between them is enclosed, as of a wall around a room with a pillar."""
+
+    def square(half: float) -> np.ndarray:
+        corners = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+        return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+
+    places = np.array([-2.5, -1.0, 0.0, 1.0, 2.5])
+    found = enclosed(np.concatenate([square(0.5), square(2.0)]), places, np.array([0.0, 1.5]))
+    np.testing.assert_array_equal(found, [[False, True, False, True, False], [False, True, True, True, False]])
+    assert not enclosed(square(1.0)[1:2], places, places).any()  # one side alone encloses nothing
+
+
+def test_a_mesh_is_filled_where_nobody_flies() -> None:
+    bounds = np.array([[-1.0, -1.0, -1.0], [2.0, 2.0, 2.0]])
+    world = World(name="x", bounds=bounds, obstacles=make_obstacles(mesh=cube_mesh()), keep_in=np.float64(0.1))
+    for free, share in ((np.array([-0.5, -0.5, 0.5]), 1.0 / 9.0), (np.array([0.5, 0.5, 0.5]), 8.0 / 9.0)):
+        axes = Figure().subplots()
+        draw_world(axes, world, 2, 0.5, free)
+        filled = axes.images[0].get_array()
+        assert 1.0 - np.mean(np.ma.getmaskarray(filled)) == pytest.approx(share, abs=0.01)
