@@ -39,6 +39,7 @@ SIBLINGS = {
     ("runtime", "replanner"),
     ("runtime", "scenario"),
     ("interception", "runtime"),
+    ("viz", "io"),
 }
 """Imports within one layer, and only these."""
 
@@ -46,6 +47,7 @@ TYPES_ONLY = {
     ("io", "replanner"),
     ("viz", "interception"),
     ("viz", "replanner"),
+    ("viz", "scenario"),
     ("arrival", "policy"),
 }
 """Imports within one layer that are allowed under ``if TYPE_CHECKING``."""

@@ -15,6 +15,7 @@ from matplotlib.patches import Patch
 from jaxplan.tracking.result import SUCCESS
 from jaxplan.viz.candidates import CandidateCurves, candidate_curves, illustrative_cycle
 from jaxplan.viz.scene import EDGE, FILL, draw_world
+from jaxplan.viz.words import OUTCOMES
 
 if TYPE_CHECKING:
     from jaxplan.interception import Episode
@@ -27,14 +28,6 @@ STOP: dict[str, Any] = {"marker": "P", "ls": "none", "color": COMMITTED, "marker
 
 POSITION_LIMIT, YAW_LIMIT = SUCCESS.position, math.degrees(SUCCESS.yaw)
 """m and degrees; beyond either tracking counts as lost."""
-
-OUTCOMES = {
-    "intercepted": "Target intercepted",
-    "collision": "Not intercepted: collision",
-    "tracking_lost": "Not intercepted: tracking lost",
-    "target_ended": "Not intercepted: the target's trajectory ended",
-    "no_plan": "Not intercepted: no plan",
-}
 
 MAP_WIDTH, SIDE_WIDTH, TIME_HEIGHT = 6.8, 3.1, 1.75
 LEFT, BOTTOM, TOP, GAP = 0.75, 0.6, 1.05, 0.66
@@ -106,7 +99,7 @@ def _draw_view(axes: Axes, episode: "Episode", shown: CandidateCurves | None, ac
     """One orthographic view; ``across`` is the axis that is looked along."""
     first, second = (axis for axis in range(3) if axis != across)
     flown, target = np.asarray(episode.flight.position), np.asarray(episode.flight.target)
-    draw_world(axes, episode.scenario.world, across, float(flown[-1, across]))
+    draw_world(axes, episode.scenario.world, across, float(flown[-1, across]), flown[-1])
     if shown is not None:
         _draw_candidates(axes, shown, first, second)
     axes.plot(target[:, first], target[:, second], color=TARGET, linewidth=2.2, linestyle=(0, (5, 1.5)), zorder=5)
