@@ -92,7 +92,11 @@ def made_up_run(folder: Path) -> list[SavedCycle]:
     rng = np.random.default_rng(3)
     some = [planned(rng), planned(rng), planned(rng, 6)]
     usable = [int(np.flatnonzero(each.reasons == 0)[0]) for each in some[:2]]
-    cycles = [cycle(0.5, some[0], usable[0]), cycle(0.6, some[1], usable[1]), cycle(1.0, some[2])]
+    cycles = [
+        cycle(0.5, some[0], usable[0]),
+        cycle(0.6, some[1], usable[1]),
+        cycle(1.0, some[2], stage_ms={"predict": 1.0, "refine": 30.0}),
+    ]
     seen = [
         Observations(times=now + 0.1 * np.arange(-4, 1), positions=np.array([-4.0, 3.0, 1.0]) + np.zeros((5, 3)))
         for now in (0.5, 0.6, 1.0)

@@ -22,6 +22,7 @@ from jaxplan.cli.intercept import from_saved, intercept
 from jaxplan.cli.parameters import DEFAULT_PARAMETER
 from jaxplan.cli.train import train
 from jaxplan.cli.vehicle import vehicle
+from jaxplan.cli.view import view
 from jaxplan.cli.world import world
 from jaxplan.errors import JaxplanError
 
@@ -40,7 +41,7 @@ app = App(
     suppress_keyboard_interrupt=False,
 )
 app.command(intercept, config=from_saved)
-for command in (export, world, vehicle, bench, train):
+for command in (export, view, world, vehicle, bench, train):
     app.command(command)
 app.command(experiment, help_flags=[], version_flags=[])
 

@@ -12,7 +12,7 @@ from jaxplan.interception.judging import flight_rows, measured_state, until_deci
 from jaxplan.interception.records import FLYING, Episode, Flight, Follow, Guide, Progress, React, Watch, tell_nobody
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.stream import ObservationStream
-from jaxplan.replanner import Replanner
+from jaxplan.replanner import Cycle, Replanner
 from jaxplan.scenario import Scenario, build_scenario
 
 
@@ -70,7 +70,8 @@ def fly(
     report, guide, watch = progress or tell_nobody, guide or _replanner(scenario), watch or _see
     target, period = scenario.target, scenario.replanning.period
     state = scenario.plant.reset(scenario.start, jax.random.key(scenario.seed))
-    stream, cycles, seen, flights = ObservationStream(scenario.stream), [], [], []
+    stream, flights = ObservationStream(scenario.stream), list[Flight]()
+    cycles, seen = list[Cycle | None](), list[Observations]()
 
     def episode(outcome: str) -> Episode:
         decided = [(cycle, given) for cycle, given in zip(cycles, seen, strict=True) if cycle is not None]

@@ -196,7 +196,9 @@ def _draw_surface(axes: Axes, camera: Camera, surface: Surface) -> None:
     order = np.argsort(-camera.depth(triangles.mean(axis=1)))
     order = order[towards[order]]
     colours = light[order, None] * np.array([0.86, 0.9, 0.96])
-    faces = PolyCollection(camera.project(triangles[order]), facecolors=colours, edgecolors=colours, linewidths=0.3)
+    faces = PolyCollection(
+        list(camera.project(triangles[order])), facecolors=colours, edgecolors=colours, linewidths=0.3
+    )
     axes.add_collection(faces)
 
 

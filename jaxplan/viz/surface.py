@@ -112,7 +112,7 @@ def _cells(world: World) -> Surface:
     while 2 * len(quads) > MOST_FACES:
         even = np.pad(occupied, [(0, count % 2) for count in occupied.shape])
         halves = [count // 2 for count in even.shape]
-        occupied = even.reshape(halves[0], 2, halves[1], 2, halves[2], 2).any(axis=(1, 3, 5))
+        occupied = np.asarray(even.reshape(halves[0], 2, halves[1], 2, halves[2], 2).any(axis=(1, 3, 5)))
         side, quads = 2.0 * side, _sides(occupied)
     corners, faces = np.unique(quads.reshape(-1, 3), axis=0, return_inverse=True)
     square = faces.reshape(-1, 4)

@@ -65,9 +65,8 @@ def test_ellipsoids_are_the_covariances(made: tuple[Replay, list[SavedCycle], st
         assert count == cycle.prediction.means[..., 0].size
         axes = rows[first : first + count, :9].reshape(-1, 3, 3)
         covariances = np.einsum("eka,ekb->eab", axes, axes) / 4.0
-        np.testing.assert_allclose(
-            covariances, cycle.prediction.covariances.reshape(-1, 3, 3), atol=1e-6
-        )  # m^2, single
+        wanted = cycle.prediction.covariances.reshape(-1, 3, 3)
+        np.testing.assert_allclose(covariances, wanted, atol=1e-6)  # m^2, single precision
         means = cycle.prediction.means.reshape(-1, 3)
         np.testing.assert_allclose(rows[first : first + count, 9:], means, atol=1e-6)  # m, single precision
 
