@@ -203,8 +203,9 @@ def _lines(cells: list[Cell]) -> list[Line]:
     lines = []
     for cell in cells:
         speeds = sorted({row["speed"] for row in cell.rows})
-        shares = [np.mean([row["outcome"] == SUCCESS for row in cell.rows if row["speed"] == s]) for s in speeds]
-        lines.append(Line(cell.planner, cell.predictor, np.array(speeds), np.array(shares)))
+        parts = [Cell(*cell[:2], [row for row in cell.rows if row["speed"] == speed]) for speed in speeds]
+        shares, intervals = [part.share for part in parts], [part.interval for part in parts]
+        lines.append(Line(*cell[:2], *(np.array(values, dtype=float) for values in (speeds, shares, intervals))))
     return lines
 
 

@@ -8,6 +8,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+TITLES = ("Total time of a flight", "Tracking error, cumulative", "Flights that are not tracked", "What labels buy")
+"""Of the panels, from left to right."""
+
 
 def draw_policy_comparison(
     times: dict[str, Float[np.ndarray, "n"]],
@@ -27,7 +30,7 @@ def draw_policy_comparison(
         curve: area under the ROC curve by number of rollout labels, with and without the low fidelity.
         limit: position error of a feasible flight [m].
     """
-    figure = Figure(figsize=(13.0, 3.4), layout="constrained")
+    figure = Figure(figsize=(13.0, 3.7), layout="constrained")
     FigureCanvasAgg(figure)
     first, second, third, fourth = figure.subplots(1, 4)
     for name, values in times.items():
@@ -48,7 +51,8 @@ def draw_policy_comparison(
     counts = sorted({count for found in curve.values() for count in found})
     fourth.set_xticks(counts, [str(count) for count in counts])
     fourth.minorticks_off()
-    for axis in (first, second, third, fourth):
+    for axis, title in zip((first, second, third, fourth), TITLES, strict=True):
+        axis.set_title(title, fontsize=10, loc="left")
         axis.legend(frameon=False, fontsize=8)
         axis.spines[["top", "right"]].set_visible(False)
     figure.savefig(path, dpi=130)

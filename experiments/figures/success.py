@@ -31,6 +31,8 @@ class Line(NamedTuple):
     predictor: str
     speeds: Float[np.ndarray, "n"]
     shares: Float[np.ndarray, "n"]
+    intervals: Float[np.ndarray, "n 2"]
+    """Of the shares, 95 %."""
 
 
 def draw_success(bars: Sequence[Bar], path: Path) -> None:
@@ -67,20 +69,24 @@ def draw_success(bars: Sequence[Bar], path: Path) -> None:
 
 
 def draw_success_by_speed(lines: Sequence[Line], path: Path) -> None:
-    """A panel for each planner, a line for each predictor."""
+    """A panel for each planner, a line with intervals for each predictor; side by side, so that none hides another."""
     planners = list(dict.fromkeys(line.planner for line in lines))
     predictors = list(dict.fromkeys(line.predictor for line in lines))
     columns = min(3, len(planners))
     rows = -(-len(planners) // columns)
-    figure = Figure(figsize=(3.4 * columns + 0.6, 2.7 * rows + 0.7), layout="constrained")
+    figure = Figure(figsize=(4.6 * columns + 0.6, 3.0 * rows + 0.7), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes, planner in zip(panels.flat, planners, strict=False):
         for line in (line for line in lines if line.planner == planner):
             colour = COLOURS[predictors.index(line.predictor) % len(COLOURS)]
-            axes.plot(line.speeds, line.shares, marker="o", markersize=3, color=colour, label=line.predictor)
+            place = predictors.index(line.predictor) - 0.5 * (len(predictors) - 1)
+            beside = place * _spread(line.speeds, len(predictors))
+            error = np.abs(line.intervals.T - line.shares)
+            style = {"marker": "o", "markersize": 3, "linewidth": 1.2, "elinewidth": 0.8, "capsize": 1.5}
+            axes.errorbar(line.speeds + beside, line.shares, error, color=colour, label=line.predictor, **style)
         axes.set_title(planner, fontsize=10)
-        axes.set(ylim=(-0.03, 1.03), xlabel="target's maximum speed [m/s]", ylabel="share of interceptions")
+        axes.set(ylim=(-0.03, 1.03), xlabel="target's maximum speed [m/s]", ylabel="share, 95 % interval")
         axes.spines[["top", "right"]].set_visible(False)
     for axes in list(panels.flat)[len(planners) :]:
         axes.set_visible(False)
@@ -90,6 +96,11 @@ def draw_success_by_speed(lines: Sequence[Line], path: Path) -> None:
         shown |= dict(zip(labels, handles, strict=True))
     figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=4, frameon=False, fontsize=8)
     figure.savefig(path, dpi=130)
+
+
+def _spread(speeds: Float[np.ndarray, "n"], lines: int) -> float:
+    """How far apart lines are drawn [m/s], so that all of them take up 0.6 of the way between two speeds."""
+    return 0.6 * float(np.diff(speeds).min(initial=1.0)) / max(lines, 1)
 
 
 def draw_failures(cells: Mapping[str, Mapping[str, float]], path: Path) -> None:
