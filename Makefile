@@ -40,7 +40,8 @@ $(VENV)/.installed-dev: pyproject.toml | $(BIN)/python
 
 demo: $(VENV)/.installed
 	$(BIN)/jaxplan intercept --require-success --out $(OUT)
-	@echo "The picture: $(OUT)/episode.png    The numbers: $(OUT)/metrics.json"
+	$(BIN)/jaxplan view $(OUT) --html $(OUT)/replay.html
+	@echo "Open it in a browser: $(OUT)/replay.html    The picture: $(OUT)/episode.png    The numbers: $(OUT)/metrics.json"
 
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m "not slow and not gpu" $(PYTEST_ARGS)
