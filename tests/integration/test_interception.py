@@ -10,6 +10,7 @@ from jaxplan import interception
 from jaxplan.config import InterceptConfig
 from jaxplan.errors import InputError
 from jaxplan.interception.judging import until_decided
+from jaxplan.io.cycles import read_cycles, saved_cycles, write_cycles
 from jaxplan.io.targets import Target, load_target, stored_targets
 from jaxplan.metrics import episode_metrics
 from jaxplan.prediction.observations import Observations
@@ -21,6 +22,7 @@ from jaxplan.scenario import build_scenario
 from jaxplan.spline import hover
 from jaxplan.status import PlanStatus
 from jaxplan.tracking.rollout import CONTROL_RATE
+from jaxplan.viz.replay import replay_of
 from tolerances import tolerance
 
 
@@ -84,6 +86,35 @@ def test_flight_log_is_consistent(episode):
     np.testing.assert_allclose(episode.scenario.target.position(flight.times), flight.target)
     before = flight.times < episode.scenario.departure
     assert np.linalg.norm(flight.position[before] - episode.scenario.start.pos, axis=1).max() < 0.02
+
+
+def test_who_follows_is_shown_all_of_it(scenario, episode):
+    shown = []
+    again_flown = interception.fly(again(scenario), follow=shown.append)
+    assert [so_far.outcome for so_far in shown[:-1]] == [interception.FLYING] * (len(shown) - 1)
+    assert [so_far.flight.times[-1] for so_far in shown[:-1]] == pytest.approx(0.1 * np.arange(1, len(shown)))
+    assert shown[-1].outcome == again_flown.outcome == "intercepted"
+    np.testing.assert_array_equal(shown[-1].flight.position, episode.flight.position)
+    grown = None
+    for so_far in shown:
+        grown = replay_of(so_far, grown)
+    assert len(grown.cycles) == len(episode.cycles)
+    assert len(grown.plans) == len(episode.plans)
+    assert grown.times[-1] == episode.flight.times[-1]
+
+
+def test_what_is_kept_of_an_episode_is_what_happened(episode, tmp_path):
+    """Each commitment belongs to one cycle, and what the file says of the prediction is what the flight asked for."""
+    kept = saved_cycles(episode.cycles, episode.observations, episode.plans, episode.scenario.predictor)
+    write_cycles(tmp_path / "cycles.npz", kept)
+    assert (tmp_path / "cycles.npz").stat().st_size < 2_000_000
+    read = read_cycles(tmp_path / "cycles.npz", len(episode.plans))
+    assert [cycle.plan for cycle in read if cycle.plan >= 0] == list(range(len(episode.plans)))
+    for row, cycle in zip(read, episode.cycles, strict=True):
+        assert row.status == cycle.status
+        assert row.rejected == cycle.rejected
+        truth = episode.scenario.target.position(row.prediction.instants)
+        np.testing.assert_allclose(row.prediction.means[:, 0], truth, atol=1e-3)  # m, of a predictor that knows it
 
 
 def test_same_seed_same_flight(scenario, episode):

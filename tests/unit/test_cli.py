@@ -20,10 +20,12 @@ from jaxplan import cli
 from jaxplan.cli.intercept import summary
 from jaxplan.config import InterceptConfig
 from jaxplan.errors import FileError, InputError, InternalError, ResourceError, UnsupportedVersion
+from jaxplan.io.cycles import read_cycles
 from jaxplan.io.target_log import read_target_log
 from jaxplan.spline import PiecewisePolynomial
 from jaxplan.status import PlanStatus
 from jaxplan.world.load import load_world
+from made_up import cycle, planned
 
 FILES = ["config.json", "cycles.npz", "episode.png", "flown.csv", "metrics.json", "plans.npz", "target.csv"]
 
@@ -62,6 +64,8 @@ def flight(config: InterceptConfig, success: bool = True) -> Any:
         status=PlanStatus.INTERCEPT,
     )
     episode.plans = (plan,)
+    episode.cycles, episode.observations = (cycle(0.5, planned(np.random.default_rng(0))), cycle(0.6, None)), ()
+    episode.scenario.predictor = None
     return episode
 
 
@@ -105,6 +109,7 @@ def test_a_run_writes_every_file(
     assert len(read_target_log(out / "target.csv").times) == 800
     with np.load(out / "plans.npz", allow_pickle=False) as plans:
         assert plans["position"].shape == (1, 2, 10, 3)
+    assert [len(each.goals) for each in read_cycles(out / "cycles.npz", plans=1)] == [90, 0]
     printed = capsys.readouterr()
     assert "intercepted" in printed.out
     assert "replan search, p50 / p99" in printed.out
