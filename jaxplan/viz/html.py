@@ -18,7 +18,7 @@ from jaxplan.io.files import plain
 from jaxplan.status import Note, PlanStatus
 from jaxplan.viz.replay import Replay, groups_of
 from jaxplan.viz.scene import sharp_edges
-from jaxplan.viz.surface import NOTHING, padding_surface, world_surface
+from jaxplan.viz.surface import NOTHING, cut_height, padding_surface, world_surface
 from jaxplan.viz.words import GROUPS, REASONS, STATUSES
 
 PLAN_POINTS = 100
@@ -87,6 +87,7 @@ def replay_data(replay: Replay) -> dict[str, Any]:
         "title": replay.title,
         "subtitle": replay.subtitle,
         "bounds": plain(np.asarray(replay.world.bounds, dtype=float)),
+        "ceiling": plain(cut_height(world, replay.position)),
         "radius": _RADIUS,
         "capture": CAPTURE_RADIUS,
         "groups": [{"name": group.name, "colour": group.colour} for group in GROUPS],

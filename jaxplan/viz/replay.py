@@ -294,7 +294,7 @@ def _subtitle(config: dict[str, Any], metrics: dict[str, Any]) -> str:
     """World, target, predictor and vehicle in one line."""
     target = metrics.get("target")
     found = {
-        "world": config.get("world"),
+        "world": Path(str(config.get("world") or "")).name,
         "target": target.get("name") if isinstance(target, dict) else config.get("target"),
         "predictor": config.get("predictor"),
         "vehicle": config.get("vehicle"),

@@ -12,6 +12,8 @@ MOST_FACES = 120_000
 """Triangles of a surface; larger ones are coarsened (arbitrary: 3 MB in a page)."""
 _NODES = 150_000
 """Nodes of the grid by which the padding is traced (arbitrary)."""
+_ABOVE = 0.4
+"""m over a flight, where worlds with a ceiling are cut open (arbitrary)."""
 _SPACING = 0.12
 """m between them, where that is not too many."""
 
@@ -38,6 +40,22 @@ def padding_surface(world: World, padding: float) -> Surface:
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     away = exact_clearance(world.obstacles, nodes.reshape(-1, 3)).reshape(nodes.shape[:3])
     return level_surface(np.nan_to_num(away - padding, posinf=1e3), lower, (upper - lower) / (counts - 1))
+
+
+def cut_height(surface: Surface, path: Float[np.ndarray, "n 3"]) -> float:
+    """Where to cut a world open that lies over a flight [m]; infinite where most of the flight is seen from above."""
+    some = path[np.linspace(0, len(path) - 1, min(len(path), 24)).astype(int)]
+    corners = surface.vertices[surface.faces]
+    hidden = [_is_below(point, corners) for point in some]
+    return float(path[:, 2].max()) + _ABOVE if np.mean(hidden) > 0.5 else np.inf
+
+
+def _is_below(point: Float[np.ndarray, "3"], corners: Float[np.ndarray, "f 3 3"]) -> bool:
+    """Whether any triangle lies over a point."""
+    high = corners[corners[..., 2].min(axis=1) > point[2]]
+    (ax, ay), (bx, by), (cx, cy) = ((high[:, i, :2] - point[:2]).T for i in range(3))
+    turns = np.stack([ax * by - ay * bx, bx * cy - by * cx, cx * ay - cy * ax])
+    return bool(((turns > 0.0).all(axis=0) | (turns < 0.0).all(axis=0)).any())
 
 
 def level_surface(

@@ -17,7 +17,8 @@ from jaxplan.errors import InputError, ResourceError
 from jaxplan.io.cycles import SavedCycle, SavedPrediction
 from jaxplan.viz.html import CAPTURE_RADIUS, SIGMAS
 from jaxplan.viz.replay import Instant, Replay, at, curves_at, groups_of
-from jaxplan.viz.surface import padding_surface, world_surface
+from jaxplan.viz.scene import Surface
+from jaxplan.viz.surface import cut_height, padding_surface, world_surface
 from jaxplan.viz.words import GROUPS, REASONS, STATUSES
 
 HOST = "127.0.0.1"
@@ -127,6 +128,8 @@ class Viewer:
     def _draw_world(self) -> None:
         lower, upper = np.asarray(self.replay.world.bounds, dtype=float)
         surface = world_surface(self.replay.world)
+        low = surface.vertices[surface.faces][..., 2].min(axis=1)
+        surface = Surface(surface.vertices, surface.faces[low <= cut_height(surface, self.replay.position)])
         self._scene.set_up_direction("+z")
         middle, (width, depth, height) = (lower + upper) / 2.0, upper - lower
         floor = (float(middle[0]), float(middle[1]), float(lower[2]))

@@ -6,6 +6,7 @@ import pytest
 from jaxplan.viz.surface import (
     Surface,
     coarsened,
+    cut_height,
     joined,
     level_surface,
     padding_surface,
@@ -128,6 +129,14 @@ def test_coarser_triangles_keep_the_shape() -> None:
     assert 200 < len(coarse.faces) <= 2000 < len(ball.faces)
     assert volume(coarse) == pytest.approx(volume(ball), rel=0.1)
     assert coarsened(coarse, most=2000).faces.shape == coarse.faces.shape
+
+
+def test_a_room_with_a_ceiling_is_cut_open() -> None:
+    ceiling = world_surface(world(boxes=aligned_boxes([[-3, -3, 2]], [[3, 0, 3]])))
+    flight = np.array([[0.0, y, 1.0 + 0.1 * y] for y in np.linspace(-2.5, 2.5, 60)])
+    assert cut_height(ceiling, flight[:20]) == pytest.approx(flight[19, 2] + 0.4)
+    assert cut_height(ceiling, flight[35:]) == np.inf  # in the open
+    assert cut_height(ceiling, flight[:20] + np.array([0.0, 0.0, 5.0])) == np.inf  # above it
 
 
 def test_surfaces_are_joined_without_mixing() -> None:

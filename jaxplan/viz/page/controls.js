@@ -8,10 +8,11 @@ const LAYERS = {
   rest: { label: "replaced later", nodes: ["plan rest"], mark: ["dash", "#004D38"], on: true },
   meeting: { label: "meeting point", nodes: ["meeting"], mark: ["dot", "#F0C000"], on: true },
   stop: { label: "stop point", nodes: ["stop"], mark: ["dot", "#004D38"], on: true },
-  candidates: { label: "candidates", nodes: ["candidates"], mark: ["dot", "#009E73"], on: true },
+  candidates: { label: "candidates, coloured by reason", nodes: ["candidates"], mark: ["dot", "#009E73"], on: true },
   trajectories: { label: "their trajectories", nodes: ["trajectories"], mark: ["line", "#009E73"], on: true },
   prediction: { label: "prediction, 2σ", nodes: ["prediction", "prediction mean", "prediction steps"], mark: ["area", "#B9A3E3"], on: true },
   world: { label: "obstacles", nodes: ["world", "edges"], mark: ["area", "#bcc5d1"], on: true },
+  cut: { label: "cut open above", nodes: [], mark: ["area", "#ffffff; border: 1px dashed #6d7887"], on: true },
   padding: { label: "padding", nodes: ["padding"], mark: ["area", "#F3D3A0"], on: false },
 };
 const STAGES = ["#264653", "#2A7F9E", "#58A6C4", "#9CC9D9", "#6C757D", "#ADB5BD", "#495867", "#7B9E89", "#B8C4BB", "#D0D4D9"];
@@ -121,7 +122,8 @@ class Player {
   }
 
   layers() {
-    for (const layer of Object.values(LAYERS)) {
+    for (const [name, layer] of Object.entries(LAYERS)) {
+      if (name === "cut" && this.replay.data.ceiling === null) continue;
       const label = element("label"), box = element("input", undefined, { type: "checkbox" }), [kind, colour] = layer.mark;
       box.checked = layer.on; layer.box = box;
       box.addEventListener("change", () => { layer.on = box.checked; this.dirty = true; });

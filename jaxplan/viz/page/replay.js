@@ -116,7 +116,6 @@ class Stage {
     if (arrays.world_faces.flat.length) scene.mesh("world", arrays.world_vertices.flat, arrays.world_faces.flat, { colour: rgba("#bcc5d1") });
     const count = arrays.world_edges.shape[0];
     scene.lines("edges", Array.from({ length: count }, (_, i) => rows(arrays.world_edges, 2 * i, 2)), [rgba("#6d7887", 0.75)], { width: 1.1, lift: 0.00005 });
-    if (arrays.padding_faces.flat.length) scene.mesh("padding", arrays.padding_vertices.flat, arrays.padding_faces.flat, { colour: rgba("#E9A53B", 0.3), rim: 0.8, layer: 6, visible: false }, 0.9);
     this.quadrotor = quadrotor(); this.ball = sphere();
     this.cycle = null;
   }
@@ -142,6 +141,11 @@ class Stage {
     const camera = scene.camera;
     if (this.follows) camera.centre = camera.centre.map((x, i) => x + (me[i] - x) * 0.18);
     for (const [name, layer] of Object.entries(layers)) for (const node of layer.nodes) if (scene.nodes.has(node)) scene.nodes.get(node).visible = layer.on;
+    const { padding_vertices: vertices, padding_faces: faces } = this.replay.arrays;
+    if (layers.padding.on && faces.flat.length && !scene.nodes.has("padding")) {  // large, and hardly ever looked at
+      scene.mesh("padding", vertices.flat, faces.flat, { colour: rgba("#E9A53B", 0.3), rim: 0.8, layer: 6 }, 0.9);
+    }
+    for (const name of ["world", "edges", "padding"]) if (scene.nodes.has(name)) scene.nodes.get(name).ceiling = layers.cut.on ? data.ceiling ?? 1e9 : 1e9;
     scene.draw();  // tells where pixels are
     this.vehicle("defender", me, replay.between(replay.quat, time), data.radius, "#0072B2");
     if (replay.knowsTarget) {

@@ -11,9 +11,10 @@ void main() { vec4 w = model * vec4(place, 1.0); p = w.xyz; n = inverse(transpos
 const MESH_FRAGMENT = `#version 300 es
 precision highp float;
 in vec3 n, p;
-uniform vec3 eye; uniform vec4 colour; uniform float rim;
+uniform vec3 eye; uniform vec4 colour; uniform float rim, ceiling;
 out vec4 pixel;
 void main() {
+  if (p.z > ceiling) discard;
   vec3 u = normalize(gl_FrontFacing ? n : -n), v = normalize(eye - p);
   float sky = 0.5 + 0.5 * u.z, sun = max(dot(u, normalize(vec3(0.35, -0.5, 0.8))), 0.0);
   vec3 lit = colour.rgb * (0.58 + 0.26 * sky + 0.24 * sun);
@@ -24,7 +25,7 @@ void main() {
 const LINE_VERTEX = `#version 300 es
 in vec4 a, b; in vec4 from, to;
 uniform mat4 seen; uniform vec2 size; uniform float width, lift, cap;
-out vec4 tint; out float along;
+out vec4 tint; out float along, height;
 void main() {
   int end = gl_VertexID >> 1; float side = float(gl_VertexID & 1) * 2.0 - 1.0;
   vec4 A = seen * vec4(a.xyz, 1.0), B = seen * vec4(b.xyz, 1.0);
@@ -38,13 +39,13 @@ void main() {
   vec4 place = end == 0 ? A : B;
   vec2 off = (vec2(-way.y, way.x) * side + way * (end == 0 ? -cap : cap)) * 0.5 * width / size;
   place.xy += off * place.w; place.z -= lift * place.w;
-  gl_Position = place; tint = end == 0 ? from : to; along = end == 0 ? a.w : b.w;
+  gl_Position = place; tint = end == 0 ? from : to; along = end == 0 ? a.w : b.w; height = end == 0 ? a.z : b.z;
 }`;
 
 const LINE_FRAGMENT = `#version 300 es
 precision highp float;
-in vec4 tint; in float along; uniform float dash, alpha; out vec4 pixel;
-void main() { if (dash > 0.0 && fract(along / dash) > 0.55) discard; pixel = vec4(tint.rgb, tint.a * alpha); }`;
+in vec4 tint; in float along, height; uniform float dash, alpha, ceiling; out vec4 pixel;
+void main() { if (height > ceiling || dash > 0.0 && fract(along / dash) > 0.55) discard; pixel = vec4(tint.rgb, tint.a * alpha); }`;
 
 const POINT_VERTEX = `#version 300 es
 in vec3 place; in vec4 tinted; uniform mat4 seen; uniform float width; out vec4 tint;
@@ -63,7 +64,6 @@ const minus = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
 const plus = (a, b, s = 1) => [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]];
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-const unit = (a) => { const n = Math.hypot(...a) || 1; return [a[0] / n, a[1] / n, a[2] / n]; };
 const IDENTITY = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
 
 function product(a, b) {
@@ -231,7 +231,7 @@ class Scene {
 
   one(node, share) {
     const gl = this.gl, { seen, ratio, w, h } = this.view, { p, uniforms } = this.programs[node.kind];
-    gl.useProgram(p); gl.bindVertexArray(node.vao); gl.uniformMatrix4fv(uniforms.seen, false, seen);
+    gl.useProgram(p); gl.uniform1f(uniforms.ceiling, node.ceiling ?? 1e9); gl.bindVertexArray(node.vao); gl.uniformMatrix4fv(uniforms.seen, false, seen);
     gl.depthMask(share === 1 && !(node.colour && node.colour[3] < 1) && !node.rim && node.kind !== "line");
     if (node.kind === "mesh") {
       gl.uniform3fv(uniforms.eye, this.camera.eye); gl.uniform1f(uniforms.rim, node.rim);
@@ -270,19 +270,35 @@ class Scene {
 
 const BACKGROUND = [0.957, 0.965, 0.976];
 
+// Places and normals of all triangles' corners: a normal is that of all faces around it which turn by little. In flat
+// arrays throughout, as a world has 10^5 triangles.
 function corners(vertices, faces, least) {
-  const at = (i) => [vertices[3 * i], vertices[3 * i + 1], vertices[3 * i + 2]], count = faces.length / 3;
-  const normals = [], around = new Map();
+  const count = faces.length / 3, normals = new Float32Array(3 * count), units = new Float32Array(3 * count);
+  const starts = new Uint32Array(vertices.length / 3 + 1), around = new Uint32Array(3 * count);
   for (let f = 0; f < count; f++) {
-    const [a, b, c] = [0, 1, 2].map((k) => at(faces[3 * f + k]));
-    normals.push(cross(minus(b, a), minus(c, a)));
-    for (let k = 0; k < 3; k++) { const v = faces[3 * f + k]; if (!around.has(v)) around.set(v, []); around.get(v).push(f); }
+    const [a, b, c] = [3 * faces[3 * f], 3 * faces[3 * f + 1], 3 * faces[3 * f + 2]];
+    const ux = vertices[b] - vertices[a], uy = vertices[b + 1] - vertices[a + 1], uz = vertices[b + 2] - vertices[a + 2];
+    const vx = vertices[c] - vertices[a], vy = vertices[c + 1] - vertices[a + 1], vz = vertices[c + 2] - vertices[a + 2];
+    const x = uy * vz - uz * vy, y = uz * vx - ux * vz, z = ux * vy - uy * vx, n = Math.sqrt(x * x + y * y + z * z) || 1;
+    normals[3 * f] = x; normals[3 * f + 1] = y; normals[3 * f + 2] = z;
+    units[3 * f] = x / n; units[3 * f + 1] = y / n; units[3 * f + 2] = z / n;
   }
-  const units = normals.map(unit), place = new Float32Array(9 * count), normal = new Float32Array(9 * count);
-  for (let f = 0; f < count; f++) for (let k = 0; k < 3; k++) {
-    let sum = [0, 0, 0];
-    for (const g of around.get(faces[3 * f + k])) if (dot(units[f], units[g]) >= least) sum = plus(sum, normals[g]);
-    place.set(at(faces[3 * f + k]), 9 * f + 3 * k); normal.set(unit(sum), 9 * f + 3 * k);
+  for (let i = 0; i < 3 * count; i++) starts[faces[i] + 1]++;
+  for (let v = 1; v < starts.length; v++) starts[v] += starts[v - 1];
+  const filled = starts.slice();
+  for (let i = 0; i < 3 * count; i++) around[filled[faces[i]]++] = (i / 3) | 0;
+  const place = new Float32Array(9 * count), normal = new Float32Array(9 * count);
+  for (let i = 0; i < 3 * count; i++) {
+    const v = faces[i], f = 3 * ((i / 3) | 0);
+    let [x, y, z] = [0, 0, 0];
+    for (let k = starts[v]; k < starts[v + 1]; k++) {
+      const g = 3 * around[k];
+      if (units[f] * units[g] + units[f + 1] * units[g + 1] + units[f + 2] * units[g + 2] < least) continue;
+      x += normals[g]; y += normals[g + 1]; z += normals[g + 2];
+    }
+    const n = Math.sqrt(x * x + y * y + z * z) || 1;
+    for (let k = 0; k < 3; k++) place[3 * i + k] = vertices[3 * v + k];
+    normal[3 * i] = x / n; normal[3 * i + 1] = y / n; normal[3 * i + 2] = z / n;
   }
   return [place, normal];
 }
