@@ -21,7 +21,7 @@ PATIENCE = 60.0
 def view(
     source: Path | None = None,
     *,
-    config: Annotated[InterceptConfig | None, Parameter(name="*")] = None,
+    config: Annotated[InterceptConfig | None, Parameter(name="*", group="Of the flight, with --live")] = None,
     live: bool = False,
     port: int = 8080,
     html: Path | None = None,

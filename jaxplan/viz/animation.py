@@ -15,6 +15,7 @@ from PIL import Image
 
 from jaxplan.errors import ResourceError
 from jaxplan.io.cycles import SavedCycle
+from jaxplan.viz.episode import COMMITTED, DEFENDER, TARGET
 from jaxplan.viz.replay import Replay, at, curves_at, groups_of
 from jaxplan.viz.scene import EDGE, draw_world
 from jaxplan.viz.surface import Surface, coarsened, world_surface
@@ -34,7 +35,7 @@ _FAR = 1e6
 """m; where what has no place is drawn: outside of the picture."""
 _WIDTH, _DPI = 9.6, 84
 """Inches and pixels an inch."""
-DEFENDER, TARGET, PLAN, MEETING = "#0072B2", "#D55E00", "#004D38", "#F0C000"
+MEETING = "#F0C000"
 
 
 class Camera(NamedTuple):
@@ -111,7 +112,7 @@ def _write_gif(pictures: list[Image.Image], path: Path) -> None:
     sheet = Image.new("RGB", (width, height * (len(some) + 1)))
     for row, picture in enumerate(some):
         sheet.paste(picture, (0, row * height))
-    colours = [DEFENDER, TARGET, PLAN, MEETING, *(group.colour for group in GROUPS)]
+    colours = [DEFENDER, TARGET, COMMITTED, MEETING, *(group.colour for group in GROUPS)]
     for place, colour in enumerate(colours):  # what is small in the pictures counts, too
         part = width // len(colours)
         sheet.paste(colour, (place * part, height * len(some), (place + 1) * part, sheet.height))
@@ -214,10 +215,10 @@ def _artists(axes: Axes) -> Artists:
         candidates=axes.scatter([], [], s=5, linewidths=0, zorder=3.5),
         flown=line(color=DEFENDER, lw=2.4, zorder=6, solid_capstyle="round"),
         target=line(color=TARGET, lw=1.8, ls=(0, (4, 1.5)), zorder=5),
-        ahead=line(color=PLAN, lw=1.8, zorder=5.5),
-        rest=line(color=PLAN, lw=1.1, ls=":", zorder=5.4),
+        ahead=line(color=COMMITTED, lw=1.8, zorder=5.5),
+        rest=line(color=COMMITTED, lw=1.1, ls=":", zorder=5.4),
         meeting=line(marker="*", color=MEETING, ms=13, mew=0.8, zorder=7, **dot | {"markeredgecolor": "black"}),
-        stop=line(marker="P", color=PLAN, ms=7, zorder=6.5, **dot),
+        stop=line(marker="P", color=COMMITTED, ms=7, zorder=6.5, **dot),
         defender=line(marker="o", color=DEFENDER, ms=8.5, zorder=8, **dot),
         quarry=line(marker="s", color=TARGET, ms=7, zorder=7.5, **dot),
     )
@@ -252,9 +253,9 @@ def _legend(figure: Figure) -> None:
     entries = [
         (Line2D([], [], color=DEFENDER, lw=2.4), "defender"),
         (Line2D([], [], color=TARGET, lw=1.8, ls=(0, (4, 1.5))), "target"),
-        (Line2D([], [], color=PLAN, lw=1.8), "plan"),
+        (Line2D([], [], color=COMMITTED, lw=1.8), "plan"),
         (Line2D([], [], marker="*", ls="none", color=MEETING, markeredgecolor="black", ms=9), "meeting"),
-        (Line2D([], [], marker="P", ls="none", color=PLAN, ms=6), "stop"),
+        (Line2D([], [], marker="P", ls="none", color=COMMITTED, ms=6), "stop"),
         *((Line2D([], [], marker="o", ls="none", color=GROUPS[i].colour, ms=4), GROUPS[i].name) for i in (0, 3, 5, 6)),
     ]
     style = {"ncols": len(entries), "frameon": False, "fontsize": 7.5, "handlelength": 1.5, "columnspacing": 1.3}

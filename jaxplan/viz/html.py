@@ -26,7 +26,7 @@ PLAN_POINTS = 100
 SIGMAS = 2.0
 """Standard deviations at which a prediction's ellipsoids are drawn."""
 CAPTURE_RADIUS = 0.4
-"""m; what counts as an interception (paper, Sec. IV)."""
+"""m; what counts as an interception (paper, Sec. IV), as ``jaxplan.interception.INTERCEPTION_RADIUS``."""
 MOST_EDGES = 30_000
 """Of a world; more of them hide it."""
 _RADIUS = 0.17
