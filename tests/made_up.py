@@ -1,5 +1,6 @@
 """Made-up cycles and the folder of a made-up run: what the tests of what is kept and drawn look at."""
 
+import socket
 from pathlib import Path
 from typing import Any
 
@@ -114,3 +115,10 @@ def made_up_run(folder: Path) -> list[SavedCycle]:
     write_cycles(folder / "cycles.npz", kept)
     write_json(folder / "metrics.json", {"outcome": "intercepted", "target": {"name": "a <b>fleeing</b> target"}})
     return kept
+
+
+def free_port() -> int:
+    """A port of this machine that nobody has just now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

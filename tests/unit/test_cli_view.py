@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxplan import cli
-from made_up import made_up_run
+from made_up import free_port, made_up_run
 
 
 @pytest.fixture
@@ -64,3 +64,30 @@ def test_a_mistake_is_one_line(run: Path, name: str, capsys: pytest.CaptureFixtu
     assert len(error) == 1
     assert said in error[0]
     assert set(Path().iterdir()) == before
+
+
+@pytest.mark.slow
+def test_a_live_flight_is_shown_and_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The real planner and the real server; nobody looks, so that it takes off at once."""
+    pytest.importorskip("viser", reason="needs the extra `view`")
+    from jaxplan.viz.replay import Replay, read_replay
+    from jaxplan.viz.viewer import Viewer
+
+    shown: list[Replay] = []
+    at_first = Viewer.show
+
+    def show(viewer: Viewer, replay: Replay) -> None:
+        shown.append(replay)
+        at_first(viewer, replay)
+
+    monkeypatch.setattr(Viewer, "wait", lambda viewer, seconds: None)
+    monkeypatch.setattr(Viewer, "show", show)
+    monkeypatch.setattr(Viewer, "serve", lambda viewer: None)
+    arguments = ["view", "--live", "--port", str(free_port()), "--predictor", "noisy", "--out", str(tmp_path / "live")]
+    assert cli.run(arguments) == 0
+    assert [replay.outcome for replay in shown[:-1]] == ["flying"] * (len(shown) - 1)
+    assert [len(replay.cycles) for replay in shown] == sorted(len(replay.cycles) for replay in shown)
+    written = read_replay(tmp_path / "live")
+    assert written.outcome == shown[-1].outcome == "intercepted"
+    assert len(written.cycles) == len(shown[-1].cycles) > 5
+    np.testing.assert_allclose(written.position, shown[-1].position, atol=1e-8)  # m; nine digits are written

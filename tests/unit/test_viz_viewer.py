@@ -12,19 +12,13 @@ import pytest
 from jaxplan.errors import InputError, ResourceError
 from jaxplan.viz.replay import Replay, at, read_replay
 from jaxplan.viz.viewer import HOST, Viewer, panel
-from made_up import made_up_run
+from made_up import free_port, made_up_run
 
 
 @pytest.fixture
 def replay(tmp_path: Path) -> Replay:
     made_up_run(tmp_path / "run")
     return read_replay(tmp_path / "run")
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind((HOST, 0))
-        return int(probe.getsockname()[1])
 
 
 @pytest.fixture
