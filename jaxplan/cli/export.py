@@ -10,7 +10,7 @@ from jaxplan.config import Frame
 def export(
     source: Path,
     *,
-    format: Literal["crazyswarm", "poly4d", "mav-trajectory-generation", "setpoints"],
+    format: Literal["crazyswarm", "poly4d", "mav-trajectory-generation", "setpoints", "tum"],
     out: Path,
     plan: int | None = None,
     frame: Frame = "enu",
@@ -26,7 +26,7 @@ def export(
         The folder of an interception, or its plans.npz.
     format
         crazyswarm: CSV of degree 7, as uav_trajectories; poly4d: a Crazyflie's trajectory memory;
-        mav-trajectory-generation: its YAML; setpoints: CSV of position to jerk and yaw.
+        mav-trajectory-generation: its YAML; setpoints: CSV of position to jerk and yaw; tum: poses, on the flight's clock.
     out
         The file.
     plan
@@ -34,7 +34,7 @@ def export(
     frame
         enu: as planned, x east, y north, z up; ned: north, east, down.
     rate
-        Setpoints a second.
+        Setpoints or poses a second.
     tolerance
         How far [m] a trajectory of degree 7 may be from the planned one.
     debug
@@ -42,7 +42,7 @@ def export(
     """
     from jaxplan.errors import InputError
     from jaxplan.files import cannot_write, write_atomically
-    from jaxplan.io.export import ExportConfig, export_trajectory
+    from jaxplan.io.export import FORMATS, ExportConfig, export_trajectory
     from jaxplan.io.plans import commanded, read_plans
 
     if not os.path.isdir(out.parent):
@@ -53,12 +53,12 @@ def export(
     if plan is not None and not -len(plans) <= plan < len(plans):
         raise InputError(f"--plan: have {plan}, want -{len(plans)} to {len(plans) - 1}")
     start, spline = commanded(plans) if plan is None else plans[plan]
-    found = export_trajectory(spline, format, ExportConfig(frame, rate, tolerance))
+    found = export_trajectory(spline, format, ExportConfig(frame, rate, tolerance, start))
     try:
         write_atomically(out, found.content)
     except OSError as error:
         raise cannot_write(out, error) from error
-    what = "samples" if format == "setpoints" else "pieces"
+    what = "samples" if FORMATS[format].read is None else "pieces"
     size = f"{found.pieces} {what}, {len(found.content)} bytes"
     print(f"{out}: {float(spline.duration):.3f} s from {start:.3f} s on, {size}")
     print(f"off by at most {found.error:.1e} m")

@@ -23,10 +23,17 @@ def write_tum(
     path: Path, times: Float[np.ndarray, "n"], positions: Float[np.ndarray, "n 3"], quat_wxyz: Float[np.ndarray, "n 4"]
 ) -> None:
     """Write a trajectory in TUM's format: s, m (world, z up), and the body's attitude as xyzw, space separated."""
-    table = np.column_stack([times, positions, np.roll(np.asarray(quat_wxyz, dtype=float), -1, axis=-1)])
-    if not np.isfinite(table).all():
+    if not all(np.isfinite(part).all() for part in (times, positions, quat_wxyz)):
         raise InternalError(f"the trajectory for {Path(path).name!r} has NaN or infinite values; please report this")
-    np.savetxt(path, table, fmt="%.9f", delimiter=" ", header=TUM_HEADER, encoding="utf-8")
+    Path(path).write_text(tum_text(times, positions, quat_wxyz), encoding="utf-8")
+
+
+def tum_text(
+    times: Float[np.ndarray, "n"], positions: Float[np.ndarray, "n 3"], quat_wxyz: Float[np.ndarray, "n 4"]
+) -> str:
+    """The content of a TUM file, with a header that its readers skip."""
+    table = np.column_stack([times, positions, np.roll(np.asarray(quat_wxyz, dtype=float), -1, axis=-1)])
+    return "\n".join([f"# {TUM_HEADER}", *(" ".join(f"{value:.9f}" for value in row) for row in table), ""])
 
 
 def plain(value: Any) -> Any:
