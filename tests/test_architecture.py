@@ -64,6 +64,10 @@ OWNERS = {
     "cyclopts": ("jaxplan/cli/", "experiments/"),
     "matplotlib": ("jaxplan/viz/", "experiments/figures/", "benchmarks/_figure.py"),
     "viser": ("jaxplan/viz/",),
+    "mcap": ("jaxplan/io/",),
+    "mcap_ros2": ("jaxplan/io/",),
+    "pyulog": ("jaxplan/io/",),
+    "pymavlink": ("jaxplan/mavlink/",),
     "dask": ("jaxplan/runner/",),
     "distributed": ("jaxplan/runner/",),
 }

@@ -93,6 +93,7 @@ def write_results(folder: "OutputFolder", config: InterceptConfig, episode: "Epi
     """Stage all files of one episode; metrics.json is the last, so its presence vouches for the others."""
     import numpy as np
 
+    from jaxplan.io.cycles import write_cycles
     from jaxplan.io.files import write_json, write_tum
     from jaxplan.io.plans import write_plans
     from jaxplan.viz.episode import draw_episode
@@ -104,6 +105,7 @@ def write_results(folder: "OutputFolder", config: InterceptConfig, episode: "Epi
     folder.write("flown.csv", lambda path: write_tum(path, times, flight.position, flight.quat_wxyz))
     folder.write("target.csv", lambda path: write_tum(path, times, flight.target, upright))
     folder.write("plans.npz", lambda path: write_plans(path, episode.plans))
+    folder.write("cycles.csv", lambda path: write_cycles(path, episode.cycles))
     folder.write("episode.png", lambda path: draw_episode(episode, metrics, path))
     folder.write("metrics.json", lambda path: write_json(path, metrics))
 

@@ -1,7 +1,8 @@
 """Trajectories in the formats that other programs fly, and back (host, NumPy).
 
-What is written is in SI units and starts at time 0, but for TUM. The library's world is z up with yaw counter-clockwise from x: with
-x to the east that is ``enu``. ``ned`` is north, east, down with yaw clockwise from north. Crazyflies fly z up.
+What is written is in SI units and starts at time 0, but for TUM. The library's world is z up with yaw counter-clockwise
+from x: with x to the east that is ``enu``. ``ned`` is north, east, down with yaw clockwise from north. Crazyflies fly
+z up.
 """
 
 import json

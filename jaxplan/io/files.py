@@ -3,14 +3,30 @@
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxplan.errors import InternalError
+from jaxplan.errors import FileError, InternalError
+from jaxplan.files import read_limited
 
 TUM_HEADER = "timestamp tx ty tz qx qy qz qw"
+
+
+_LARGEST_TRACK = 256 * 2**20
+"""Bytes of a TUM file."""
+
+
+class Track(NamedTuple):
+    """Poses over time."""
+
+    times: Float[np.ndarray, "n"]
+    """Seconds."""
+    positions: Float[np.ndarray, "n 3"]
+    """Metres."""
+    quat_wxyz: Float[np.ndarray, "n 4"]
+    """Body to world."""
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -34,6 +50,23 @@ def tum_text(
     """The content of a TUM file, with a header that its readers skip."""
     table = np.column_stack([times, positions, np.roll(np.asarray(quat_wxyz, dtype=float), -1, axis=-1)])
     return "\n".join([f"# {TUM_HEADER}", *(" ".join(f"{value:.9f}" for value in row) for row in table), ""])
+
+
+def read_tum(path: Path) -> Track:
+    """The poses in a TUM file, as ``write_tum`` writes them.
+
+    Raises:
+        FileError: there is no such file, or it holds something else.
+    """
+    content = read_limited(path, _LARGEST_TRACK, "poses as TUM has them")
+    try:
+        rows = [line.split() for line in content.decode().splitlines() if not line.startswith("#")]
+        table = np.array(rows, dtype=float)
+        if table.ndim != 2 or table.shape[1] != 8 or not np.isfinite(table).all():
+            raise ValueError("rows of eight finite numbers are wanted")
+    except ValueError as error:
+        raise FileError(f"{path}: is no TUM file ({error}); give another one") from error
+    return Track(table[:, 0], table[:, 1:4], np.roll(table[:, 4:], 1, axis=-1))
 
 
 def plain(value: Any) -> Any:

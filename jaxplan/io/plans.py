@@ -28,6 +28,17 @@ class SavedPlan(NamedTuple):
     """Position [m, world] and yaw [rad], without padding."""
 
 
+class Commitment(NamedTuple):
+    """A plan in a file, and what was known when it was committed; fields as in ``jaxplan.replanner.CommittedPlan``."""
+
+    plan: SavedPlan
+    goal: Float[np.ndarray, "3"]
+    arrival_time: float
+    alpha: float
+    probability: float
+    status: int
+
+
 def write_plans(path: Path, plans: "Sequence[CommittedPlan]") -> None:
     """Write every committed plan, one row each, padded to the longest with segments of duration 0.
 
@@ -56,17 +67,26 @@ def read_plans(path: Path) -> list[SavedPlan]:
     Raises:
         FileError: there is no such file, or it holds something else.
     """
+    return [commitment.plan for commitment in read_commitments(path)]
+
+
+def read_commitments(path: Path) -> list[Commitment]:
+    """The same with what was known of each. Raises the same."""
     path = path / "plans.npz" if path.is_dir() else path
     content = read_limited(path, LARGEST_ARCHIVE, "a plans.npz that jaxplan intercept wrote")
     try:
         arrays = read_arrays(content)
         starts, *rows = (np.asarray(arrays[name], float) for name in ("start_time", "durations", "position", "yaw"))
         plans = [_saved(start, *row) for start, *row in zip(starts.tolist(), *rows, strict=True)]
+        goals = np.asarray(arrays["goal"], float).reshape(-1, 3)
+        numbers = [np.asarray(arrays[name], float).tolist() for name in ("arrival_time", "alpha", "probability")]
+        status = np.asarray(arrays["status"], int).tolist()
+        found = [Commitment(*row) for row in zip(plans, goals, *numbers, status, strict=True)]
     except Exception as error:  # whatever a damaged archive raises
         raise FileError(f"{path}: is no plans.npz of jaxplan intercept ({error}); give another file") from error
     if not all(np.isfinite(part).all() for _, spline in plans for part in (spline.position, spline.durations)):
         raise FileError(f"{path}: has a plan with NaN or infinite numbers; give another file")
-    return plans
+    return found
 
 
 def _saved(

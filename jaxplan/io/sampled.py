@@ -34,7 +34,7 @@ def setpoint_table(spline: PiecewisePolynomial, times: Float[np.ndarray, "n"]) -
 
 
 def attitudes(spline: PiecewisePolynomial, times: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 4"]:
-    """The attitude (body to world, z up, wxyz) that thrusts along a z-up trajectory without drag, as flatness has it."""
+    """The attitude (FLU to world, wxyz) that flatness demands along a z-up trajectory, without drag."""
     with jax.enable_x64(True):
         force = np.asarray(spline.evaluate(times, 2))[:, :3] + np.array([0.0, 0.0, STANDARD_GRAVITY])
         rotation = jax.vmap(attitude_from)(force, np.asarray(spline.evaluate(times))[:, 3])

@@ -25,7 +25,7 @@ from jaxplan.spline import PiecewisePolynomial
 from jaxplan.status import PlanStatus
 from jaxplan.world.load import load_world
 
-FILES = ["config.json", "episode.png", "flown.csv", "metrics.json", "plans.npz", "target.csv"]
+FILES = ["config.json", "cycles.csv", "episode.png", "flown.csv", "metrics.json", "plans.npz", "target.csv"]
 
 
 def made_up_metrics(success: bool = True) -> dict[str, Any]:
