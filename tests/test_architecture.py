@@ -15,7 +15,7 @@ LAYERS = [
     {"minsnap", "vehicle", "world"},
     {"prediction", "search", "knots", "policy", "arrival", "selection", "tracking", "feasibility"} | {"optimizer"},
     {"planner"},
-    {"viz", "io", "interception", "scenario", "replanner", "metrics", "training", "reference"} | {"runtime"},
+    {"viz", "io", "interception", "scenario", "replanner", "metrics", "training", "reference"} | {"runtime", "mavlink"},
     {"runner"},
     {"cli", "experiments", "benchmarks", "jaxplan"},
 ]
@@ -39,6 +39,9 @@ SIBLINGS = {
     ("runtime", "replanner"),
     ("runtime", "scenario"),
     ("interception", "runtime"),
+    ("mavlink", "runtime"),
+    ("mavlink", "replanner"),
+    ("mavlink", "io"),
 }
 """Imports within one layer, and only these."""
 

@@ -172,7 +172,11 @@ def _committed(number: int, commitment: Commitment) -> Iterator[Entry]:
     if np.isfinite(goal).all():
         parts["spheres"] = [solid(goal, None, np.full(3, 0.2), _GOAL)]
     yield Entry(start, "/plan", scene(start, "plan", **parts))
-    numbers = {"duration": float(spline.duration), "arrival_time": commitment.arrival_time, "alpha": commitment.alpha}
+    numbers: Json = {
+        "duration": float(spline.duration),
+        "arrival_time": commitment.arrival_time,
+        "alpha": commitment.alpha,
+    }
     numbers |= {"probability": commitment.probability, "goal": vector(goal)}
     yield Entry(start, "/committed", plain({"number": number, "status": status, **numbers}))
     yield Entry(start, "/log", log(start, f"plan {number} takes over: {status}"))
