@@ -59,6 +59,8 @@ def intercept(
     for what in ("target", "vehicle"):
         for warning in metrics[what]["warnings"]:
             print(f"jaxplan: warning: {what}: {warning}", file=sys.stderr)
+    if metrics["target"].get("read_as"):
+        print(f"target read from {metrics['target']['read_as']}")
     print(summary(metrics))
     print(f"results in {config.out}: {', '.join(sorted(path.name for path in Path(config.out).iterdir()))}")
     return EXIT_NOT_INTERCEPTED if require_success and not episode.success else 0
@@ -93,7 +95,7 @@ def write_results(folder: "OutputFolder", config: InterceptConfig, episode: "Epi
     """Stage all files of one episode; metrics.json is the last, so its presence vouches for the others."""
     import numpy as np
 
-    from jaxplan.io.cycles import write_cycles
+    from jaxplan.io.cycle_table import write_cycles
     from jaxplan.io.files import write_json, write_tum
     from jaxplan.io.plans import write_plans
     from jaxplan.viz.episode import draw_episode

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxplan.errors import FileError, JaxplanError, ResourceError
 from jaxplan.files import read_limited
-from jaxplan.io.cycles import read_cycles
+from jaxplan.io.cycle_table import read_cycles
 from jaxplan.io.files import Track, plain, read_tum
 from jaxplan.io.foxglove import (
     Colour,

@@ -15,7 +15,7 @@ from jaxplan import cli
 from jaxplan.cli.intercept import write_results
 from jaxplan.config import InterceptConfig
 from jaxplan.errors import FileError
-from jaxplan.io.cycles import read_cycles
+from jaxplan.io.cycle_table import read_cycles
 from jaxplan.io.output import OutputFolder
 from jaxplan.io.plans import read_commitments
 from jaxplan.io.recording import TOPICS, record_episode

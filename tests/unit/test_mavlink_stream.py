@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from test_io_export import committed
-from test_mavlink_wire import free_port, straight
 
 from jaxplan import cli
 from jaxplan.errors import InputError, ResourceError
@@ -15,6 +14,7 @@ from jaxplan.mavlink import Endpoint, Phase, PlannedFlight, StreamConfig, Stream
 from jaxplan.mavlink.frames import to_ned
 from jaxplan.runtime import Setpoint
 from oracles.fake_autopilot import ARDUPILOT, GUIDED, HOLD, OFFBOARD, SET_MODE, FakeAutopilot, Running
+from oracles.mavlink_cases import free_port, straight
 
 pytest.importorskip("pymavlink")
 ORIGIN = (1.0, 2.0, 0.0)

@@ -18,8 +18,8 @@ from jaxplan.mavlink.flights import PlannedFlight
 from jaxplan.mavlink.frames import NedSetpoint, Reference, rotated, to_ned
 from jaxplan.mavlink.streamer import Streamer
 from jaxplan.runtime import Setpoint
-from jaxplan.spline import PiecewisePolynomial
 from oracles import mavlink_wire as wire
+from oracles.mavlink_cases import free_port, straight
 from oracles.mavlink_wire import encode
 from tolerances import relative, tolerance
 
@@ -240,20 +240,6 @@ def test_nobody_at_the_other_end_is_no_error() -> None:
         for _ in range(5):
             ours.send(b"anyone")
             assert ours.receive() == []
-
-
-def straight() -> PiecewisePolynomial:
-    """A metre to the east and back to rest, turning a little: degree 7 and 5, by their closed forms."""
-    position, yaw = np.zeros((1, 10, 3)), np.zeros((1, 6))
-    position[0, 0], position[0, 4:8, 0] = [1.0, 2.0, 1.5], [35.0, -84.0, 70.0, -20.0]
-    yaw[0, 3:6] = 0.5 * np.array([10.0, -15.0, 6.0])
-    return PiecewisePolynomial(durations=np.array([1.5]), position=position, yaw=yaw)
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,431 @@
+"""ULog and MCAP as a target's flight: files made from the formats' specifications, or by their own writers."""
+
+import contextlib
+import json
+import struct
+import time
+import tracemalloc
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_io_recording import folder  # noqa: F401 (a fixture)
+
+from jaxplan.errors import FileError, ResourceError
+from jaxplan.io.log_columns import LogFormat
+from jaxplan.io.recording import record_episode
+from jaxplan.io.target_log import read_target_log
+from jaxplan.io.targets import load_target
+from oracles import ulog_writer as ulog
+from tolerances import tolerance
+
+pytest.importorskip("pyulog")
+writer = pytest.importorskip("mcap.writer")
+ros2 = pytest.importorskip("mcap_ros2.writer")
+
+TIMES = 12.5 + 0.05 * np.arange(200)
+NED = np.column_stack([np.sin(TIMES), 0.5 * TIMES, -1.0 - 0.1 * np.cos(TIMES)])
+ENU = NED[:, [1, 0, 2]] * [1.0, 1.0, -1.0]
+SINGLE = tolerance("exact", np.float32)
+
+
+def px4_log(valid_from: int = 0) -> list[bytes]:
+    """As PX4 writes it: definitions, an announcement, and the data of two topics between each other."""
+    rows = ulog.local_positions(3, np.column_stack([TIMES, NED]), np.arange(len(TIMES)) >= valid_from)
+    other = [ulog.data(7, "Qf", round(1e6 * t), 0.5) for t in TIMES]
+    begin = [ulog.header(), ulog.info("sys_name", "PX4"), ulog.definition("battery", "uint64_t timestamp;float v;")]
+    begin += [ulog.definition("vehicle_local_position", ulog.LOCAL_POSITION)]
+    begin += [ulog.subscription(7, "battery"), ulog.subscription(3, "vehicle_local_position")]
+    return begin + [part for pair in zip(rows, other, strict=True) for part in pair]
+
+
+@pytest.fixture
+def px4(tmp_path: Path) -> Path:
+    path = tmp_path / "log_12.ulg"
+    path.write_bytes(b"".join(px4_log()))
+    return path
+
+
+def test_where_px4_says_it_was(px4: Path) -> None:
+    log = read_target_log(px4)
+    np.testing.assert_allclose(log.times, TIMES, rtol=0.0, atol=1e-6)  # microseconds
+    np.testing.assert_allclose(log.positions, ENU, **SINGLE)
+    assert log.report.chosen == "vehicle_local_position as north, east, down"
+    turned = read_target_log(px4, LogFormat(frame="enu", time_unit="ms"))
+    np.testing.assert_allclose(turned.positions, NED, **SINGLE)
+    np.testing.assert_allclose(turned.times, 1e3 * TIMES, rtol=0.0, atol=1e-3)  # microseconds as milliseconds
+
+
+def test_what_the_estimator_does_not_vouch_for_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "early.ulg"
+    path.write_bytes(b"".join(px4_log(valid_from=50)))
+    log = read_target_log(path)
+    assert len(log.times) == 150
+    assert log.report.chosen.endswith("50 of 200 samples without a position left out")
+
+
+def test_another_topic_by_its_columns(tmp_path: Path) -> None:
+    """Two instances of odometry, an array each, and padding behind."""
+    path = tmp_path / "odometry.ulg"
+    parts = [ulog.header(), ulog.definition("vehicle_odometry", ulog.ODOMETRY)]
+    parts += [ulog.subscription(1, "vehicle_odometry"), ulog.subscription(2, "vehicle_odometry", 1)]
+    for t, (x, y, z) in zip(TIMES, NED, strict=True):
+        parts += [ulog.data(1, "QfffB", round(1e6 * t), x, y, z, 1), ulog.data(2, "QfffB", round(1e6 * t), z, x, y, 2)]
+    path.write_bytes(b"".join(parts))
+    log = read_target_log(path)
+    assert log.report.chosen == "vehicle_odometry as north, east, down"
+    np.testing.assert_allclose(log.positions, ENU, **SINGLE)
+    second = ("vehicle_odometry[1].timestamp", *(f"vehicle_odometry[1].position[{axis}]" for axis in (1, 2, 0)))
+    with pytest.raises(FileError, match=r"vehicle_odometry\[1\]: its axes .* give --frame"):
+        read_target_log(path, LogFormat(columns=second))
+    log = read_target_log(path, LogFormat(columns=second, frame="ned"))
+    np.testing.assert_allclose(log.positions, ENU, **SINGLE)
+    usual = read_target_log(path, LogFormat(columns=("timestamp", "position[0]", "position[1]", "position[2]")))
+    np.testing.assert_allclose(usual.positions, ENU, **SINGLE)
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        (("timestamp", "x", "y", "w"), "vehicle_local_position has no 'w', want one of timestamp"),
+        (("timestamp", "x", "y", "battery.v"), "have topics battery, vehicle_local_position"),
+        (("nothing.timestamp", "x", "y", "z"), "have 'nothing.timestamp', want topic.field of battery"),
+        (("1", "2", "3", "4"), "has no '1'"),
+        (("battery.timestamp", "battery.v", "battery.v", "battery.h"), "battery has no 'h'"),
+    ],
+)
+def test_columns_that_are_none(px4: Path, columns: tuple, said: str) -> None:
+    with pytest.raises(FileError, match=said) as caught:
+        read_target_log(px4, LogFormat(columns=columns))
+    assert "log_12.ulg" in str(caught.value)
+
+
+def test_damaged_places_are_passed_over_and_a_cut_end_is_said(tmp_path: Path) -> None:
+    parts = px4_log()
+    parts[100:101] = [b"\x00\x00\x00\xff", parts[100], b"\xff\xff\xffgarbage", ulog.message("S", ulog.SYNC), parts[100]]
+    path = tmp_path / "damaged.ulg"
+    path.write_bytes(b"".join(parts)[:-5])
+    log = read_target_log(path)
+    assert len(log.times) >= 197
+    np.testing.assert_allclose(log.positions[:40], ENU[:40], **SINGLE)
+    assert "damaged or cut off" in log.report.chosen
+
+
+ANNOUNCED = ulog.subscription(3, "vehicle_local_position")
+
+
+@contextlib.contextmanager
+def memory_below(most: float) -> Iterator[None]:
+    """Bytes of Python's own."""
+    tracemalloc.start()
+    try:
+        yield
+        assert tracemalloc.get_traced_memory()[1] < most
+    finally:
+        tracemalloc.stop()
+
+
+HOSTILE = {
+    "no data": ([ANNOUNCED], "is missing"),
+    "nothing at all": ([], "have topics none"),
+    "an endless definition": (
+        [ulog.definition("vehicle_local_position", "vehicle_local_position x;"), ANNOUNCED],
+        "is endless",
+    ),
+    "a definition that grows": (
+        [ulog.definition("vehicle_local_position", "a0[9999] x;"), ANNOUNCED]
+        + [ulog.definition(f"a{n}", f"a{n + 1}[9999] x;") for n in range(30)]
+        + [ulog.definition("a30", "float x;")],
+        "more than 4096 values",
+    ),
+    "a definition without fields": (
+        [ulog.definition("vehicle_local_position", ""), ANNOUNCED, ulog.data(3, "Q", 1)],
+        "has no data",
+    ),
+    "incompatible flags": ([], "incompatible flags"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_ulogs_cost_a_line(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    parts, said = HOSTILE[name]
+    path = tmp_path / "hostile.ulg"
+    flags = bytes([0] * 8 + [6] + [0] * 31) if name == "incompatible flags" else bytes(40)
+    path.write_bytes(b"".join([ulog.header(flags), *parts]))
+    with memory_below(20e6), pytest.raises(FileError, match=said):
+        read_target_log(path)
+    assert capsys.readouterr().out == ""
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_no_damage_to_a_ulog_is_more_than_a_line(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
+    content = bytearray(b"".join(px4_log()[:40]))
+    for _ in range(data.draw(st.integers(1, 6))):
+        content[data.draw(st.integers(16, len(content) - 1))] = data.draw(st.integers(0, 255))
+    path = tmp_path_factory.getbasetemp() / "fuzzed.ulg"
+    path.write_bytes(content[: data.draw(st.integers(20, len(content)))])
+    read_or_refused(path)
+
+
+def read_or_refused(path: Path) -> None:
+    """No other error than ours."""
+    with contextlib.suppress(FileError):
+        read_target_log(path)
+
+
+ODOMETRY = "\n".join(
+    [
+        "std_msgs/Header header",
+        "string child_frame_id",
+        "geometry_msgs/PoseWithCovariance pose",
+        "=" * 80,
+        "MSG: std_msgs/Header",
+        "builtin_interfaces/Time stamp",
+        "string frame_id",
+        "=" * 80,
+        "MSG: geometry_msgs/PoseWithCovariance",
+        "geometry_msgs/Pose pose",
+        "float64[36] covariance",
+        "=" * 80,
+        "MSG: geometry_msgs/Pose",
+        "geometry_msgs/Point position",
+        "geometry_msgs/Quaternion orientation",
+        "=" * 80,
+        "MSG: geometry_msgs/Point",
+        "float64 x",
+        "float64 y",
+        "float64 z",
+        "=" * 80,
+        "MSG: geometry_msgs/Quaternion",
+        "float64 x",
+        "float64 y",
+        "float64 z",
+        "float64 w",
+        "=" * 80,
+        "MSG: builtin_interfaces/Time",
+        "int32 sec",
+        "uint32 nanosec",
+    ]
+)
+
+
+def odometry(t: float, position: np.ndarray) -> dict:
+    sec = int(t)
+    stamp = {"sec": sec, "nanosec": round(1e9 * (t - sec))}
+    pose = {"position": dict(zip("xyz", position.tolist(), strict=True)), "orientation": {"w": 1.0}}
+    return {"header": {"stamp": stamp, "frame_id": "map"}, "pose": {"pose": pose, "covariance": [0.0] * 36}}
+
+
+def bag(path: Path, topics: tuple[str, ...] = ("/odom",), late: float = 0.01, **options: object) -> Path:
+    """A bag of ROS 2 with a topic of odometry each, recorded a while after it was measured, and one of text."""
+    with path.open("wb") as stream:
+        written = ros2.Writer(stream, **options)
+        schema = written.register_msgdef("nav_msgs/msg/Odometry", ODOMETRY)
+        text = written.register_msgdef("std_msgs/msg/String", "string data")
+        for t, position in zip(TIMES, ENU, strict=True):
+            at = round(1e9 * (t + late))
+            written.write_message("/chatter", text, {"data": "hello"}, log_time=at, publish_time=at)
+            for number, topic in enumerate(topics):
+                said = odometry(t, position + number)
+                written.write_message(topic, schema, said, log_time=at, publish_time=at)
+        written.finish()
+    return path
+
+
+@pytest.mark.parametrize("compression", list(writer.CompressionType), ids=lambda kind: kind.name)
+def test_a_bag_of_ros_2(tmp_path: Path, compression: object) -> None:
+    path = bag(tmp_path / "bag.mcap", compression=compression, chunk_size=10_000)
+    log = read_target_log(path)
+    np.testing.assert_allclose(log.times, TIMES, rtol=0.0, atol=1e-8)  # nanoseconds
+    np.testing.assert_allclose(log.positions, ENU, **tolerance("exact"))
+    assert log.report.chosen == "/odom (nav_msgs/msg/Odometry) by header.stamp as z up"
+    ned = read_target_log(path, LogFormat(frame="ned"))
+    np.testing.assert_allclose(ned.positions, NED, **tolerance("exact"))
+
+
+def test_several_topics_are_asked_about_and_named(tmp_path: Path) -> None:
+    path = bag(tmp_path / "two.mcap", ("/own/odom", "/other/odom"))
+    with pytest.raises(FileError, match="several topics with positions: /own/odom, /other/odom; name one by --columns"):
+        read_target_log(path)
+    columns = ("log_time", *(f"/other/odom.pose.pose.position.{axis}" for axis in "xyz"))
+    log = read_target_log(path, LogFormat(columns=columns))
+    np.testing.assert_allclose(log.times, TIMES + 0.01, rtol=0.0, atol=1e-8)  # nanoseconds
+    np.testing.assert_allclose(log.positions, ENU + 1.0, **tolerance("exact"))
+    slashes = ("/other/odom/header/stamp", *(f"/other/odom/pose/pose/position/{axis}" for axis in "xyz"))
+    np.testing.assert_allclose(
+        read_target_log(path, LogFormat(columns=slashes)).times, TIMES, rtol=0.0, atol=1e-8
+    )  # ns
+    with_target = bag(tmp_path / "target.mcap", ("/own/odom", "/target/odom"))
+    np.testing.assert_allclose(read_target_log(with_target).positions, ENU + 1.0, **tolerance("exact"))
+    for bad, said in (
+        (("log_time", "/nowhere.x", "/other/odom.y", "/other/odom.z"), "have '/nowhere.x', want log_time"),
+        (("log_time", "/own/odom.pose", "/own/odom.pose", "/own/odom.pose"), "have 'pose', want a number"),
+        (("/own/odom.pose", *columns[1:]), "several topics"),
+        (("/other/odom.pose", *columns[1:]), "have 'pose', want a time"),
+    ):
+        with pytest.raises(FileError, match=said):
+            read_target_log(path, LogFormat(columns=bad))
+
+
+def test_our_own_recording_is_a_target_again(folder: Path, tmp_path: Path) -> None:  # noqa: F811
+    path = tmp_path / "episode.mcap"
+    path.write_bytes(record_episode(folder).content)
+    log, direct = read_target_log(path), read_target_log(folder / "target.csv")
+    np.testing.assert_allclose(log.positions, direct.positions, **tolerance("exact"))
+    np.testing.assert_allclose(log.times, direct.times, rtol=0.0, atol=2e-9)  # nanoseconds
+    assert load_target(str(path), world="room").read_as == "/target (foxglove.PoseInFrame) by timestamp as z up"
+
+
+def px4_bag(path: Path) -> Path:
+    """PX4's own topic over ROS 2: microseconds, north-east-down, x, y and z at the top."""
+    fields = "uint64 timestamp\nfloat32 x\nfloat32 y\nfloat32 z\nbool xy_valid"
+    with path.open("wb") as stream:
+        written = ros2.Writer(stream)
+        schema = written.register_msgdef("px4_msgs/msg/VehicleLocalPosition", fields)
+        for t, (x, y, z) in zip(TIMES, NED, strict=True):
+            said = {"timestamp": round(1e6 * t), "x": x, "y": y, "z": z, "xy_valid": True}
+            written.write_message("/fmu/out/vehicle_local_position", schema, said, round(1e9 * t), round(1e9 * t))
+        written.finish()
+    return path
+
+
+def test_px4_over_ros_2(tmp_path: Path) -> None:
+    log = read_target_log(px4_bag(tmp_path / "px4.mcap"))
+    np.testing.assert_allclose(log.positions, ENU, **SINGLE)
+    np.testing.assert_allclose(log.times, TIMES, rtol=0.0, atol=1e-6)  # microseconds
+    assert "as north, east, down" in log.report.chosen
+
+
+def of_json(path: Path, messages: list[tuple[int, object]], **options: object) -> Path:
+    with path.open("wb") as stream:
+        written = writer.Writer(stream, **options)
+        written.start()
+        channel = written.register_channel("/where", "json", 0)
+        for at, said in messages:
+            content = said if isinstance(said, bytes) else json.dumps(said).encode()
+            written.add_message(channel, at, content, at)
+        written.finish()
+    return path
+
+
+def test_a_recording_that_was_cut_off(tmp_path: Path) -> None:
+    said = [(round(1e9 * t), {"position": position.tolist()}) for t, position in zip(TIMES, ENU, strict=True)]
+    path = of_json(tmp_path / "cut.mcap", said, chunk_size=500)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 3])
+    log = read_target_log(path)
+    assert 10 < len(log.times) < len(TIMES)
+    np.testing.assert_allclose(log.positions, ENU[: len(log.times)], **tolerance("exact"))
+    assert log.report.chosen == "/where (without a schema) by log_time as z up; the file is cut off"
+
+
+def test_times_that_repeat_or_go_back(tmp_path: Path) -> None:
+    place = {"x": 1.0, "y": 2.0, "z": 3.0}
+    path = of_json(tmp_path / "again.mcap", [(10**9, place), (10**9, place), (2 * 10**9, place | {"x": 2.0})])
+    log = read_target_log(path)
+    assert log.times.tolist() == [1.0, 2.0]
+    assert "1 samples that repeat a time left out" in log.report.chosen
+    path = of_json(tmp_path / "back.mcap", [(2 * 10**9, place), (10**9, place)])
+    with pytest.raises(FileError, match=r"goes backwards, have 1 s after 2 s \(sample 2\)"):
+        read_target_log(path)
+
+
+def chunk(size: int, compression: bytes, content: bytes) -> bytes:
+    body = struct.pack("<QQQI", 0, 0, size, 0) + struct.pack("<I", len(compression)) + compression
+    body += struct.pack("<Q", len(content)) + content
+    return struct.pack("<BQ", 6, len(body)) + body
+
+
+def bombs() -> dict[str, bytes]:
+    """Chunks that unpack to much more than they are, whatever they say of their size."""
+    import lz4.frame
+    import zstandard
+
+    zeros = bytes(2**27)
+    frames = {"zstd": zstandard.compress(zeros), "lz4": lz4.frame.compress(zeros)}
+    return {
+        f"{name} {size}": chunk(size, name.encode(), content) for name, content in frames.items() for size in (1, 2**40)
+    }
+
+
+DAMAGED = {
+    "a record without end": (struct.pack("<BQ", 6, 2**63), "has a chunk of 9223372036854775808 bytes"),
+    "a message without end": (struct.pack("<BQ", 5, 2**63), "no topic with a position"),
+    "a chunk of nonsense": (chunk(10, b"zstd", b"nonsense"), "cannot be unpacked"),
+    "a compression of the future": (chunk(10, b"brotli", b"nonsense"), "compression 'brotli'"),
+    "a chunk that says too much": (chunk(2**40, b"", b""), "no topic with a position"),
+    "half a schema": (struct.pack("<BQ", 3, 2) + b"\x01\x00", "record of kind 3 that cannot be read"),
+    "nothing": (b"", "no topic with a position"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_damaged_recordings_cost_a_line(tmp_path: Path, name: str) -> None:
+    content, said = DAMAGED[name]
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n" + content)
+    with pytest.raises(FileError, match=said):
+        read_target_log(path)
+
+
+def test_bombs_cost_a_line_and_little_memory(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.mcap"
+    for content in bombs().values():
+        path.write_bytes(b"\x89MCAP0\r\n" + content)
+        with memory_below(300e6), pytest.raises(FileError, match="chunk of more than"):
+            read_target_log(path)
+
+
+def test_definitions_that_say_too_much_are_not_read(tmp_path: Path) -> None:
+    """A list of four thousand million empty messages, in forty bytes."""
+    path = tmp_path / "list.mcap"
+    text = "mine/Empty[] many\nfloat64 x\nfloat64 y\nfloat64 z\n" + "=" * 80 + "\nMSG: mine/Empty\nfloat64[0] none\n"
+    with path.open("wb") as stream:
+        written = writer.Writer(stream)
+        written.start()
+        schema = written.register_schema("mine/msg/Many", "ros2msg", text.encode())
+        channel = written.register_channel("/many", "cdr", schema)
+        written.add_message(channel, 0, b"\x00\x01\x00\x00" + struct.pack("<I", 2**32 - 1), 0)
+        written.finish()
+    began = time.perf_counter()
+    with pytest.raises(FileError, match="no topic with a position"):
+        read_target_log(path)
+    assert time.perf_counter() - began < 5.0
+    for content in (b"[" * 100_000, b"\xff", b'{"position": {"x": 1e999, "y": 0, "z": 0}}', b"x" * 2**21):
+        of_json(tmp_path / "bad.mcap", [(1, content), (2, content)])
+        with pytest.raises(FileError):
+            read_target_log(tmp_path / "bad.mcap")
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_no_damage_to_an_mcap_is_more_than_a_line(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "fuzzed.mcap"
+    if not (path.parent / "whole.mcap").exists():
+        said = [(k, {"position": [k, 0.0, 1.0]}) for k in range(1, 20)]
+        of_json(path.parent / "whole.mcap", said, chunk_size=200, compression=writer.CompressionType.NONE)
+    content = bytearray((path.parent / "whole.mcap").read_bytes())
+    for _ in range(data.draw(st.integers(1, 6))):
+        content[data.draw(st.integers(8, len(content) - 1))] = data.draw(st.integers(0, 255))
+    path.write_bytes(content)
+    read_or_refused(path)
+
+
+def test_a_missing_package_is_named(px4: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    modules = __import__("sys").modules
+    path = bag(tmp_path / "bag.mcap")
+    monkeypatch.setitem(modules, "mcap_ros2.decoder", None)
+    with pytest.raises(ResourceError, match=r"mcap-ros2-support.*jaxplan\[logs\]"):
+        read_target_log(path)
+    monkeypatch.setitem(modules, "mcap.records", None)
+    with pytest.raises(ResourceError, match=r"needs mcap,.*jaxplan\[logs\]"):
+        read_target_log(path)
+    monkeypatch.setitem(modules, "pyulog", None)
+    with pytest.raises(ResourceError, match=r"pyulog.*jaxplan\[logs\]"):
+        read_target_log(px4)
