@@ -70,7 +70,7 @@ OWNERS = {
     "mcap": ("jaxplan/io/",),
     "mcap_ros2": ("jaxplan/io/",),
     "pyulog": ("jaxplan/io/",),
-    "pymavlink": ("jaxplan/mavlink/",),
+    "pymavlink": ("jaxplan/mavlink/", "benchmarks/bench_mavlink.py"),
     "dask": ("jaxplan/runner/",),
     "distributed": ("jaxplan/runner/",),
 }

@@ -41,9 +41,9 @@ class LogFormat:
     time_unit: TimeUnit | None = None
     """Of the times; None: what the header says, or seconds."""
     frame: Frame | None = None
-    """ned: north, east, down; None: z up, unless the header says otherwise."""
+    """ned: north, east, down; None: z up, unless the header or the log's format says otherwise."""
     columns: tuple[str, str, str, str] | None = None
-    """Time, x, y and z by their names in the header, or by number from 1."""
+    """Time, x, y and z by their names in the header, or by number from 1; by topic and field in a log with topics."""
 
     def __post_init__(self) -> None:
         if self.time_unit is not None:

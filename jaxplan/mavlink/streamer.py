@@ -172,9 +172,10 @@ class Streamer:
 
     def _may_engage(self, now: float) -> bool:
         """Whether it was streamed for long enough, to a vehicle that is not too far off, of a flight that can begin."""
-        if now - self._streaming < BEFORE_MODE or self.autopilot.vehicle is None or not self._flight.is_ready():
+        vehicle = self.autopilot.vehicle
+        if now - self._streaming < BEFORE_MODE or vehicle is None or not self._flight.is_ready():
             return False
-        self._refuse_far(now)
+        self._refuse_far(vehicle, now)
         return True
 
     def _advance(self, now: float) -> None:
@@ -184,8 +185,8 @@ class Streamer:
             self._connect(now)
         elif phase is Phase.READY:
             self._give_up_without_position(now)
-            if autopilot.engaged:
-                self._refuse_far(now)
+            if autopilot.engaged and autopilot.vehicle is not None:
+                self._refuse_far(autopilot.vehicle, now)
                 self._enter(Phase.APPROACHING, now)
         elif phase is Phase.HOLDING and not autopilot.engaged:
             self._enter(Phase.DONE, now)
@@ -233,11 +234,9 @@ class Streamer:
                 "and at rest; can it get there?"
             )
 
-    def _refuse_far(self, now: float) -> None:
+    def _refuse_far(self, vehicle: Seen, now: float) -> None:
         """A vehicle that is far off would fly there straight, whatever stands between."""
-        vehicle, start = self.autopilot.vehicle, self._flight.setpoint(now).position
-        if vehicle is None:
-            raise ResourceError("stream: the autopilot obeys and has not said where it is; want LOCAL_POSITION_NED")
+        start = self._flight.setpoint(now).position
         apart = float(np.linalg.norm(vehicle.position - start))
         if apart > self.config.farthest:
             there, here = (np.array2string(point, precision=2) for point in (start, vehicle.position))

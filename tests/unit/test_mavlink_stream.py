@@ -260,6 +260,17 @@ def test_a_vehicle_that_does_not_come_is_given_up(make) -> None:
         both.pass_time(5.0)
 
 
+def test_an_autopilot_that_obeys_already_and_says_later_where_it_is(make) -> None:
+    both = make()
+    both.autopilot.mode, both.autopilot.armed = OFFBOARD, True
+    both.autopilot.send("HEARTBEAT", autopilot=12, base_mode=129, custom_mode=OFFBOARD)
+    for _ in range(100):
+        both.now += 0.005
+        both.streamer.step()
+    assert both.streamer.phase is Phase.READY
+    both.until(Phase.DONE)
+
+
 def test_odometry_in_the_local_frame_will_do(make) -> None:
     both = make(engage=True)
     both.autopilot.speaks_odometry = 1
