@@ -109,8 +109,8 @@ class LiveFlight:
         return self._runtime.setpoint()
 
     def over(self, now: float) -> bool:
-        """Whether the target was met: what is committed then, to its rest, is all that is left."""
-        return self._met
+        """Whether the target was met and the plan that was committed then has come to rest."""
+        return self._met and not self._runtime.setpoint().velocity.any()
 
     def tell(self, now: float, vehicle: Seen | None, target: Seen | None) -> None:
         """Where they are, in the instant at which it was heard."""
@@ -123,6 +123,5 @@ class LiveFlight:
             if not self._met:
                 self._runtime.observe(target.time + ahead, target.position)
         apart = float(np.linalg.norm(self._vehicle - self._target))
-        if apart < self.closest:
-            self.closest = apart
+        self.closest = float(np.fmin(self.closest, apart))
         self._met = self._met or apart <= MET

@@ -10,13 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_io_recording import folder  # noqa: F401 (a fixture)
 
 from jaxplan.errors import FileError, ResourceError
 from jaxplan.io.log_columns import LogFormat
-from jaxplan.io.recording import record_episode
 from jaxplan.io.target_log import read_target_log
-from jaxplan.io.targets import load_target
 from oracles.flight_logs import ENU, NED, TIMES, memory_below, read_or_refused
 from tolerances import tolerance
 
@@ -116,15 +113,6 @@ def test_several_topics_are_asked_about_and_named(tmp_path: Path) -> None:
     ):
         with pytest.raises(FileError, match=said):
             read_target_log(path, LogFormat(columns=bad))
-
-
-def test_our_own_recording_is_a_target_again(folder: Path, tmp_path: Path) -> None:  # noqa: F811
-    path = tmp_path / "episode.mcap"
-    path.write_bytes(record_episode(folder).content)
-    log, direct = read_target_log(path), read_target_log(folder / "target.csv")
-    np.testing.assert_allclose(log.positions, direct.positions, **tolerance("exact"))
-    np.testing.assert_allclose(log.times, direct.times, rtol=0.0, atol=2e-9)  # nanoseconds
-    assert load_target(str(path), world="room").read_as == "/target (foxglove.PoseInFrame) by timestamp as z up"
 
 
 def px4_bag(path: Path) -> Path:

@@ -19,6 +19,8 @@ from jaxplan.io.cycle_table import read_cycles
 from jaxplan.io.output import OutputFolder
 from jaxplan.io.plans import read_commitments
 from jaxplan.io.recording import TOPICS, record_episode
+from jaxplan.io.target_log import read_target_log
+from jaxplan.io.targets import load_target
 from jaxplan.io.world_scene import world_scene
 from jaxplan.spline import PiecewisePolynomial
 from jaxplan.world.load import load_world
@@ -230,3 +232,12 @@ def test_without_mcap_it_says_so(
     monkeypatch.setitem(__import__("sys").modules, "mcap.writer", None)
     assert cli.run(["export", str(folder), "--format", "mcap", "--out", str(tmp_path / "x")]) == 12
     assert "pip install 'jaxplan[logs]'" in capsys.readouterr().err
+
+
+def test_our_own_recording_is_a_target_again(folder: Path, tmp_path: Path) -> None:
+    path = tmp_path / "episode.mcap"
+    path.write_bytes(record_episode(folder).content)
+    log, direct = read_target_log(path), read_target_log(folder / "target.csv")
+    np.testing.assert_allclose(log.positions, direct.positions, **tolerance("exact"))
+    np.testing.assert_allclose(log.times, direct.times, rtol=0.0, atol=2e-9)  # nanoseconds
+    assert load_target(str(path), world="room").read_as == "/target (foxglove.PoseInFrame) by timestamp as z up"

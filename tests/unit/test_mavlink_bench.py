@@ -10,6 +10,7 @@ from benchmarks import bench_mavlink
 pytest.importorskip("pymavlink")
 
 
+@pytest.mark.slow
 def test_the_stream_is_measured(tmp_path: Path) -> None:
     out = tmp_path / "mavlink.json"
     bench_mavlink.main(["--seconds", "2", "--json", str(out)])
