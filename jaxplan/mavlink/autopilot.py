@@ -13,6 +13,8 @@ from jaxplan.mavlink.frames import Reference, rotated, turned
 _ARMED = 128
 """MAV_MODE_FLAG_SAFETY_ARMED."""
 _AUTOPILOT_COMPONENT = 1
+_RECENT = 1.0
+"""Seconds for which a position counts as the present one (arbitrary)."""
 _ACCEPTED = (0, 5)
 """MAV_RESULT_ACCEPTED and MAV_RESULT_IN_PROGRESS."""
 
@@ -94,6 +96,11 @@ class Autopilot:
         elif name == "COMMAND_ACK" and message.command in (SET_MODE, ARM):
             refusal = f"MAV_RESULT {message.result} to command {message.command}"
             self.denied = "" if message.result in _ACCEPTED else refusal
+
+    def where(self, now: float) -> Seen | None:
+        """Where its vehicle is; None where that was not said for a while."""
+        recent = self.vehicle is not None and now - self.vehicle.time <= _RECENT
+        return self.vehicle if recent else None
 
     def from_local(self, north_east_down: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
         """A place in the autopilot's local frame [m] as one in the world."""

@@ -27,6 +27,7 @@ _ASK_AGAIN = 1.0
 """Seconds from one request to the next."""
 _CLOSE, _SLOW = 0.3, 0.3
 """m and m/s: nearer and slower than these the vehicle is at the start (arbitrary)."""
+_GRACE = 5.0
 _SILENT = 3.0
 """Seconds without a heartbeat after which the autopilot counts as silent (arbitrary)."""
 _REMEMBERED = 200_000
@@ -149,11 +150,12 @@ class Streamer:
         if np.isfinite(self._last_sent):
             self._gaps.append(now - self._last_sent)
         self._last_sent = now
-        if self.phase is Phase.FLYING and autopilot.vehicle is not None:
-            self._off.append(float(np.linalg.norm(autopilot.vehicle.position - setpoint.position)))
+        vehicle = autopilot.where(now)
+        if self.phase is Phase.FLYING and vehicle is not None:
+            self._off.append(float(np.linalg.norm(vehicle.position - setpoint.position)))
 
     def _request(self, now: float) -> None:
-        """Ask for the mode, then to arm, until it obeys; and where on the globe it counts from, if that is needed."""
+        """Ask to obey, in the end to hold by itself, and where on the globe it counts from: what is needed of it."""
         autopilot = self.autopilot
         if autopilot.kind is None:
             return
@@ -169,10 +171,12 @@ class Streamer:
                 self._link.send(self._codec.command(*to, SET_MODE, *autopilot.kind.parameters))
             else:
                 self._link.send(self._codec.command(*to, ARM, 1.0))
+        if self._held(now) and self.config.engage and autopilot.kind.hold is not None:
+            self._link.send(self._codec.command(*to, SET_MODE, *autopilot.kind.hold))
 
     def _may_engage(self, now: float) -> bool:
         """Whether it was streamed for long enough, to a vehicle that is not too far off, of a flight that can begin."""
-        vehicle = self.autopilot.vehicle
+        vehicle = self.autopilot.where(now)
         if now - self._streaming < BEFORE_MODE or vehicle is None or not self._flight.is_ready():
             return False
         self._refuse_far(vehicle, now)
@@ -185,8 +189,9 @@ class Streamer:
             self._connect(now)
         elif phase is Phase.READY:
             self._give_up_without_position(now)
-            if autopilot.engaged and autopilot.vehicle is not None:
-                self._refuse_far(autopilot.vehicle, now)
+            vehicle = autopilot.where(now)
+            if autopilot.engaged and vehicle is not None:
+                self._refuse_far(vehicle, now)
                 self._enter(Phase.APPROACHING, now)
         elif phase is Phase.HOLDING and not autopilot.engaged:
             self._enter(Phase.DONE, now)
@@ -197,8 +202,8 @@ class Streamer:
             self._approach(now)
         elif phase is Phase.FLYING and self._flight.over(now):
             self._enter(Phase.HOLDING, now)
-        elif phase is Phase.HOLDING and now - self._since >= self.config.hold:
-            self._leave(now)
+        elif phase is Phase.HOLDING and self._held(now - self._grace):
+            self._enter(Phase.DONE, now)
         self._notice_silence(now)
 
     def _connect(self, now: float) -> None:
@@ -220,19 +225,19 @@ class Streamer:
         raise ResourceError(f"autopilot: have {have}, want LOCAL_NED (1); has its estimator converged?")
 
     def _approach(self, now: float) -> None:
-        vehicle, start = self.autopilot.vehicle, self._flight.setpoint(now).position
-        if vehicle is None:
-            return
-        apart, speed = (float(np.linalg.norm(part)) for part in (vehicle.position - start, vehicle.velocity))
-        if apart <= _CLOSE and speed <= _SLOW:
-            if self._flight.is_ready():
-                self._flight.begin(now)
-                self._enter(Phase.FLYING, now)
-        elif now - self._since > self.config.patience:
-            raise ResourceError(
-                f"stream: the vehicle is {apart:.1f} m from the start after {now - self._since:.0f} s, want {_CLOSE} m "
-                "and at rest; can it get there?"
-            )
+        vehicle, start = self.autopilot.where(now), self._flight.setpoint(now).position
+        have = "at an unknown place"
+        if vehicle is not None:
+            apart, speed = (float(np.linalg.norm(part)) for part in (vehicle.position - start, vehicle.velocity))
+            if apart <= _CLOSE and speed <= _SLOW:
+                if self._flight.is_ready():
+                    self._flight.begin(now)
+                    self._enter(Phase.FLYING, now)
+                return
+            have = f"{apart:.1f} m from the start"
+        if now - self._since > self.config.patience:
+            since = f"after {now - self._since:.0f} s"
+            raise ResourceError(f"stream: the vehicle is {have} {since}, want {_CLOSE} m and at rest; can it go there?")
 
     def _refuse_far(self, vehicle: Seen, now: float) -> None:
         """A vehicle that is far off would fly there straight, whatever stands between."""
@@ -245,13 +250,15 @@ class Streamer:
                 f"{self.config.farthest:g} m: fly it there, or say by --origin where its frame's origin is"
             )
 
-    def _leave(self, now: float) -> None:
-        """Before the stream ends, a mode that stays where it is, for whom that is not what happens anyway."""
-        autopilot = self.autopilot
-        if self.config.engage and autopilot.kind is not None and autopilot.kind.hold is not None:
-            command = self._codec.command(autopilot.system, autopilot.component, SET_MODE, *autopilot.kind.hold)
-            self._link.send(command)
-        self._enter(Phase.DONE, now)
+    def _held(self, now: float) -> bool:
+        """Whether the end was held for as long as it was to be."""
+        return self.phase is Phase.HOLDING and now - self._since >= self.config.hold
+
+    @property
+    def _grace(self) -> float:
+        """Seconds in which an autopilot may go into a mode that holds by itself, before the stream ends."""
+        kind = self.autopilot.kind
+        return _GRACE if self.config.engage and kind is not None and kind.hold is not None else 0.0
 
     def _notice_silence(self, now: float) -> None:
         """A silent autopilot may hear all the same: the stream goes on, for a while."""

@@ -37,7 +37,8 @@ class FakeAutopilot:
         self.position, self.velocity = np.zeros(3), np.zeros(3)
         self.origin: dict[str, int] | None = None
         self.refuses = False
-        self.mute = self.deaf = False
+        self.mute = self.deaf = self.lost = False
+        """Whether it says nothing, hears nothing, and does not know where it is."""
         self.speaks_odometry: int | None = None
         """The frame in which it says where it is, by ODOMETRY, instead of LOCAL_POSITION_NED."""
         self.heard: list[tuple[float, Message]] = []
@@ -73,7 +74,7 @@ class FakeAutopilot:
             self._next_heartbeat = now + 0.2
             base = 1 | 128 * self.armed
             self.send("HEARTBEAT", type=2, autopilot=self.kind, base_mode=base, custom_mode=self.mode, system_status=4)
-        if now >= self._next_position:
+        if now >= self._next_position and not self.lost:
             self._next_position = now + 0.02
             self._say_where(now)
 

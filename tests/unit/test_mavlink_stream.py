@@ -271,6 +271,37 @@ def test_an_autopilot_that_obeys_already_and_says_later_where_it_is(make) -> Non
     both.until(Phase.DONE)
 
 
+def test_an_old_position_is_none(make) -> None:
+    """Its estimator is lost while a person engages: it is not called anywhere, and given up in the end."""
+    both = make(patience=3.0)
+    both.autopilot._move = lambda now: None
+    both.pass_time(2.0)
+    both.autopilot.lost = True
+    both.pass_time(1.1)
+    both.autopilot.engage(both.now)
+    both.pass_time(1.0)
+    assert both.streamer.phase is Phase.READY
+    both.autopilot.lost = False
+    both.until(Phase.APPROACHING)
+    both.autopilot.lost = True
+    with pytest.raises(ResourceError, match="at an unknown place after 3 s"):
+        both.pass_time(4.0)
+
+
+def test_the_last_wish_is_said_again_until_it_is_heard(make) -> None:
+    """The first requests to hold are lost: the stream goes on until PX4 has left OFFBOARD, and no longer than that."""
+    both = make(engage=True)
+    both.until(Phase.HOLDING)
+    both.autopilot.refuses = True
+    both.pass_time(3.5)
+    assert both.streamer.phase is Phase.HOLDING
+    both.autopilot.refuses = False
+    both.until(Phase.DONE, within=1.5)
+    assert both.autopilot.mode == HOLD
+    gaps = np.diff([time for time, _ in both.autopilot.setpoints])
+    assert gaps.max() < 0.026
+
+
 def test_odometry_in_the_local_frame_will_do(make) -> None:
     both = make(engage=True)
     both.autopilot.speaks_odometry = 1
