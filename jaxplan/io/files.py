@@ -12,10 +12,8 @@ from jaxplan.errors import FileError, InternalError
 from jaxplan.files import read_limited
 
 TUM_HEADER = "timestamp tx ty tz qx qy qz qw"
-
-
-_LARGEST_TRACK = 256 * 2**20
-"""Bytes of a TUM file."""
+_LARGEST_TRACK = 64 * 2**20
+"""Bytes of a TUM file: an hour at 200 a second."""
 
 
 class Track(NamedTuple):

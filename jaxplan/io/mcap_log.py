@@ -184,6 +184,14 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
+def _as_float(number: float) -> float:
+    """Infinite where it is beyond what a float holds: JSON's whole numbers have no end."""
+    try:
+        return float(number)
+    except OverflowError:
+        return np.inf
+
+
 def _named(channels: dict[int, _Channel], columns: tuple[str, ...]) -> _Where:
     """The channel and the paths that columns name."""
     numbers: set[int] = set()
@@ -223,7 +231,7 @@ def _number(message: Any, path: str) -> float:
     value = _dig(message, path)
     if not _is_number(value):
         raise InputError(f"--columns: have {path!r}, want a number in every message; one has {str(value)[:40]!r}")
-    return float(value)
+    return _as_float(value)
 
 
 def _seconds(message: Any, log_time: int, path: str, scale: float | None) -> float:
@@ -241,8 +249,8 @@ def _stamp(value: Any, scale: float | None) -> float | None:
     seconds = _dig(value, "sec")
     if _is_number(seconds):
         nanoseconds = next((n for name in ("nanosec", "nsec") if isinstance(n := _dig(value, name), int)), 0)
-        return float(seconds) + 1e-9 * nanoseconds
+        return _as_float(seconds) + 1e-9 * _as_float(nanoseconds)
     if _is_number(value):
         # Whole numbers are counts of PX4's clock.
-        return float(value) * (scale if scale is not None else 1e-6 if isinstance(value, int) else 1.0)
+        return _as_float(value) * (scale if scale is not None else 1e-6 if isinstance(value, int) else 1.0)
     return None

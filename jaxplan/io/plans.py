@@ -67,26 +67,31 @@ def read_plans(path: Path) -> list[SavedPlan]:
     Raises:
         FileError: there is no such file, or it holds something else.
     """
-    return [commitment.plan for commitment in read_commitments(path)]
-
-
-def read_commitments(path: Path) -> list[Commitment]:
-    """The same with what was known of each. Raises the same."""
     path = path / "plans.npz" if path.is_dir() else path
     content = read_limited(path, LARGEST_ARCHIVE, "a plans.npz that jaxplan intercept wrote")
     try:
         arrays = read_arrays(content)
         starts, *rows = (np.asarray(arrays[name], float) for name in ("start_time", "durations", "position", "yaw"))
         plans = [_saved(start, *row) for start, *row in zip(starts.tolist(), *rows, strict=True)]
-        goals = np.asarray(arrays["goal"], float).reshape(-1, 3)
-        numbers = [np.asarray(arrays[name], float).tolist() for name in ("arrival_time", "alpha", "probability")]
-        status = np.asarray(arrays["status"], int).tolist()
-        found = [Commitment(*row) for row in zip(plans, goals, *numbers, status, strict=True)]
     except Exception as error:  # whatever a damaged archive raises
         raise FileError(f"{path}: is no plans.npz of jaxplan intercept ({error}); give another file") from error
     if not all(np.isfinite(part).all() for _, spline in plans for part in (spline.position, spline.durations)):
         raise FileError(f"{path}: has a plan with NaN or infinite numbers; give another file")
-    return found
+    return plans
+
+
+def read_commitments(path: Path) -> list[Commitment]:
+    """The same with what was known of each. Raises the same."""
+    plans = read_plans(path)
+    path = path / "plans.npz" if path.is_dir() else path
+    try:
+        arrays = read_arrays(read_limited(path, LARGEST_ARCHIVE, "a plans.npz that jaxplan intercept wrote"))
+        goals = np.asarray(arrays["goal"], float).reshape(-1, 3)
+        numbers = [np.asarray(arrays[name], float).tolist() for name in ("arrival_time", "alpha", "probability")]
+        status = np.asarray(arrays["status"], int).tolist()
+        return [Commitment(*row) for row in zip(plans, goals, *numbers, status, strict=True)]
+    except Exception as error:  # whatever a damaged archive raises
+        raise FileError(f"{path}: is no plans.npz of jaxplan intercept ({error}); give another file") from error
 
 
 def _saved(

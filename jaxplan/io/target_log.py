@@ -94,7 +94,11 @@ class TargetLog:
 
 
 def read_target_log(path: str | Path, how: LogFormat | None = None) -> TargetLog:
-    """Read a recorded flight; raises ``FileError`` naming the line where it cannot be used."""
+    """Read a recorded flight.
+
+    Raises:
+        FileError: it cannot be used; the line is named. ResourceError: it is a log whose package is not installed.
+    """
     path, how = Path(path), how or LogFormat()
     _check_file(path)
     binary = _binary(path)

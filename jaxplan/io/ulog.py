@@ -25,6 +25,8 @@ _HEADER = 16
 _SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 _MOST_FIELDS = 4096
 """Values in a message, arrays and nested messages written out (arbitrary; a message has 65,533 bytes at most)."""
+_APPENDED = 1
+"""The one incompatible flag that is understood: that data was appended, after the vehicle had crashed."""
 _KINDS = b"BFIMPQALCDRSO"
 """Messages that a log is made of."""
 _PLAIN = {"float", "double", "bool", "char"} | {
@@ -98,7 +100,7 @@ def _outline(content: bytes) -> _Outline:
         if kind == b"F":
             name = content[begin + 3 : end].partition(b":")[0].decode(errors="replace")
             formats.setdefault(name, content[begin:end])
-        elif kind == b"B" and any(content[begin + 11 : begin + 19].lstrip(b"\x00\x01")):
+        elif kind == b"B" and int.from_bytes(content[begin + 11 : min(begin + 19, end)], "little") > _APPENDED:
             raise FileError("it says of itself that it cannot be read by who does not know how (incompatible flags)")
         elif kind == b"A" and end - begin > 6:
             instance, number = struct.unpack_from("<BH", content, begin + 3)
@@ -197,5 +199,6 @@ def _fields(definition: bytes) -> Iterator[tuple[str, int]]:
     """The type of each field of a definition, and how many of it."""
     for field in definition[3:].decode(errors="replace").partition(":")[2].split(";"):
         base, _, size = field.split(" ")[0].partition("[")
+        digits = size.rstrip("]")[:9]
         if base:
-            yield base, int(size.rstrip("]")) if size.rstrip("]").isdecimal() else 1
+            yield base, int(digits) if digits.isdecimal() else 1

@@ -117,6 +117,10 @@ HOSTILE = {
         + [ulog.definition("a30", "float x;")],
         "more than 4096 values",
     ),
+    "a number of fields without end": (
+        [ulog.definition("vehicle_local_position", f"float[{'9' * 5000}] x;"), ANNOUNCED],
+        "more than 4096 values",
+    ),
     "a definition without fields": (
         [ulog.definition("vehicle_local_position", ""), ANNOUNCED, ulog.data(3, "Q", 1)],
         "has no data",
