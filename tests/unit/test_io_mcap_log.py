@@ -225,16 +225,13 @@ def test_definitions_that_say_too_much_are_not_read(tmp_path: Path) -> None:
         channel = written.register_channel("/many", "cdr", schema)
         written.add_message(channel, 0, b"\x00\x01\x00\x00" + struct.pack("<I", 2**32 - 1), 0)
         written.finish()
-    began = time.perf_counter()
-    with pytest.raises(FileError, match="no topic with a position"):
+    with memory_below(50e6), pytest.raises(FileError, match="no topic with a position"):
         read_target_log(path)
-    assert time.perf_counter() - began < 5.0
-    for content in (
-        b"[" * 100_000,
-        b"\xff",
-        b'{"x": 1e999, "y": 0, "z": 0}',
-        b'{"x": 1%s, "y": 0, "z": 0}' % (b"0" * 400),
-    ):
+
+
+def test_messages_that_are_none(tmp_path: Path) -> None:
+    beyond = b'{"x": 1%s, "y": 0, "z": 0}' % (b"0" * 400)
+    for content in (b"[" * 100_000, b"\xff", b'{"x": 1e999, "y": 0, "z": 0}', beyond, b"x" * 2**21):
         of_json(tmp_path / "bad.mcap", [(1, content), (2, content)])
         with pytest.raises(FileError):
             read_target_log(tmp_path / "bad.mcap")
