@@ -75,27 +75,32 @@ def _parsed(kind: int, content: bytes) -> tuple[int, Any]:
 
 
 def _unpacked(content: bytes) -> bytes:
-    """What a chunk holds; never more than ``_LARGEST_PART``, whatever it says of itself."""
+    """What a chunk holds; no more than it says of itself, and no more than ``_LARGEST_PART``."""
     from mcap import records
     from mcap.data_stream import ReadDataStream
 
     try:
         chunk = records.Chunk.read(ReadDataStream(BytesIO(content)))
-        if chunk.compression == "zstd":
-            import zstandard
-
-            reader = zstandard.ZstdDecompressor(max_window_size=_LARGEST_PART).stream_reader(BytesIO(chunk.data))
-            found = reader.read(_LARGEST_PART + 1)
-        elif chunk.compression == "lz4":
-            import lz4.frame
-
-            found = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=_LARGEST_PART + 1)
-        elif chunk.compression == "":
-            found = chunk.data
-        else:
-            raise ValueError(f"compression {chunk.compression[:20]!r}")
+        most = min(chunk.uncompressed_size, _LARGEST_PART)
+        found = _decompressed(chunk.compression, chunk.data, most + 1)
     except Exception as error:  # whatever a damaged chunk raises
         raise FileError(f"has a chunk that cannot be unpacked ({type(error).__name__}: {error})") from error
-    if len(found) > _LARGEST_PART:
-        raise FileError(f"has a chunk of more than {_LARGEST_PART} bytes; is it damaged?")
-    return bytes(found)
+    if len(found) > most:
+        raise FileError(f"has a chunk of more than {most} bytes, want no more; is it damaged?")
+    return found
+
+
+def _decompressed(compression: str, content: bytes, most: int) -> bytes:
+    """At most so many bytes. Raises ``ValueError`` for another compression, others for damaged bytes."""
+    if compression == "zstd":
+        import zstandard
+
+        reader = zstandard.ZstdDecompressor(max_window_size=_LARGEST_PART).stream_reader(BytesIO(content))
+        return bytes(reader.read(most))
+    if compression == "lz4":
+        import lz4.frame
+
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(content, max_length=most))
+    if compression == "":
+        return content
+    raise ValueError(f"compression {compression[:20]!r}")
