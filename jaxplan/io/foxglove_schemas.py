@@ -1,5 +1,6 @@
 """JSON schemas of the messages in a recording: Foxglove's by its names, and three tables of numbers of our own."""
 
+from collections.abc import Iterable
 from typing import Any
 
 from jaxplan.io.foxglove import KINDS
@@ -66,7 +67,11 @@ SCHEMAS: dict[str, Json] = {
         alpha=_NUMBER,
         probability=_NUMBER,
     ),
-    "jaxplan.Cycle": {"type": "object"},
     "jaxplan.Flight": _object(distance=_NUMBER),
 }
-"""By the name under which a viewer knows them. A cycle's columns depend on the planner."""
+"""By the name under which a viewer knows them; ``jaxplan.Cycle`` besides."""
+
+
+def cycle_schema(columns: Iterable[str]) -> Json:
+    """``jaxplan.Cycle``: a row of ``cycles.csv``, whose columns depend on the planner."""
+    return _object(**{column: _TEXT if column == "status" else _NUMBER for column in columns})

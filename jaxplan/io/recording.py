@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxplan.errors import FileError, JaxplanError, ResourceError
 from jaxplan.files import read_limited
-from jaxplan.io.cycle_table import read_cycles
+from jaxplan.io.cycle_table import CYCLES, read_cycles
 from jaxplan.io.files import Track, plain, read_tum
 from jaxplan.io.foxglove import (
     Colour,
@@ -29,7 +29,7 @@ from jaxplan.io.foxglove import (
     transform,
     vector,
 )
-from jaxplan.io.foxglove_schemas import SCHEMAS
+from jaxplan.io.foxglove_schemas import SCHEMAS, cycle_schema
 from jaxplan.io.plans import Commitment, read_commitments
 from jaxplan.io.world_scene import world_scene
 from jaxplan.status import PlanStatus
@@ -54,7 +54,7 @@ TOPICS = {
     "/cycle": "jaxplan.Cycle",
     "/log": "foxglove.Log",
 }
-"""What is in a recording, by the schemas of ``SCHEMAS``."""
+"""What is in a recording, by the names of their schemas."""
 
 
 class Entry(NamedTuple):
@@ -102,9 +102,9 @@ def record_episode(folder: Path) -> Recorded:
     stream = io.BytesIO()
     writer = Writer(stream)
     writer.start(profile="", library="jaxplan")
+    known = SCHEMAS | {"jaxplan.Cycle": cycle_schema(saved.cycles[0] if saved.cycles else CYCLES)}
     schemas = {
-        name: writer.register_schema(name, "jsonschema", json.dumps(schema).encode())
-        for name, schema in SCHEMAS.items()
+        name: writer.register_schema(name, "jsonschema", json.dumps(schema).encode()) for name, schema in known.items()
     }
     channels = {topic: writer.register_channel(topic, "json", schemas[name]) for topic, name in TOPICS.items()}
     for time, topic, message in entries:

@@ -138,6 +138,7 @@ def test_the_schemas_say_what_the_messages_hold(folder: Path, messages: list) ->
     summary = mcap_reader.make_reader(io.BytesIO(record_episode(folder).content)).get_summary()
     assert {channel.topic: summary.schemas[channel.schema_id].name for channel in summary.channels.values()} == TOPICS
     schemas = {schema.name: json.loads(schema.data) for schema in summary.schemas.values()}
+    assert "search_ms" in schemas["jaxplan.Cycle"]["properties"]
     for name, _, _, message in messages:
         fits(schemas[name], message, name)
 
