@@ -41,16 +41,17 @@ class InterceptConfig:
     """A stored world (env1) or a file: MJCF (.xml), surface mesh (.stl), rotorpy boxes (.json)."""
 
     target: str | None = None
-    """A stored trajectory, or a recorded flight: t,x,y,z or timestamp tx ty tz. Default: the world's first."""
+    """A stored trajectory, or a recorded flight: t,x,y,z, TUM, PX4's ULog or MCAP. Default: the world's first."""
 
     time_unit: TimeUnit | None = None
     """What the times of a recorded flight are counted in. Default: what its header says, or seconds."""
 
     frame: Frame | None = None
-    """Axes of a recorded flight: enu, z up; ned, north, east, down. Default: z up."""
+    """Axes of a recorded flight: enu, z up; ned, north, east, down. Default: z up, or what a log's format says."""
 
     columns: tuple[str, str, str, str] | None = None
-    """Time, x, y and z of a recorded flight, by name or by number from 1. Default: found by their names."""
+    """Time, x, y and z of a recorded flight, by name or by number from 1; topic.field in a log with topics. Default:
+    found by their names."""
 
     predictor: Predictor = "ground-truth"
     """How the target's future is predicted."""

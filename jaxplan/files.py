@@ -72,7 +72,7 @@ def read_limited(path: Path, limit: int, want: str) -> bytes:
         raise FileError(f"{path}: no such file; want {want}")
     try:
         with path.open("rb") as stream:
-            content = stream.read(limit + 1)
+            content = stream.read(min(limit, os.fstat(stream.fileno()).st_size) + 1)  # what is asked for is allocated
     except OSError as error:
         raise FileError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
     if len(content) > limit:

@@ -30,6 +30,7 @@ def episode_metrics(episode: Episode) -> dict[str, Any]:
         "max_speed_m_s": float(np.linalg.norm(flight.velocity, axis=1).max()),
         "target": {
             "name": scenario.target.name,
+            "read_as": scenario.target.read_as or None,
             "max_speed_m_s": scenario.target.max_speed,
             "warnings": list(scenario.target.warnings),
         },

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import numpy as np
@@ -123,6 +123,47 @@ def build_scenario(config: InterceptConfig, *, exhaustive: bool = False, planner
     )
 
 
+class Planning(NamedTuple):
+    """What plans against a target that nobody knows but by observing it."""
+
+    world: World
+    planner: Planner
+    predictor: Predictor
+    start: FlatState
+    """The defender hovers there until it departs."""
+
+
+def build_planning(config: InterceptConfig) -> Planning:
+    """Load what a configuration names, but for the target and the simulated vehicle.
+
+    Raises:
+        InputError, FileError: the configuration, a file or the start cannot be used, or the predictor knows the truth.
+    """
+    world, vehicle = load_world(config.world), load_vehicle(config.vehicle)
+    start = _hover(config, world, vehicle)
+    config = with_a_planner(config, vehicle)
+    policy, classifier = _policy(config)
+    planner = build_planner(planner_config(config), world=world, vehicle=vehicle, policy=policy, classifier=classifier)
+    return Planning(world, planner, predictor_for(config, world, None), start)
+
+
+def start_of(config: InterceptConfig) -> FlatState:
+    """The hover at which ``build_planning`` starts, without building anything. Raises the same."""
+    return _hover(config, load_world(config.world), load_vehicle(config.vehicle))
+
+
+def _hover(config: InterceptConfig, world: World, vehicle: Vehicle) -> FlatState:
+    """The start that was asked for or the world's own, where a target is only observed."""
+    if config.predictor in ("ground-truth", "noisy"):
+        raise InputError(f"--predictor: have {config.predictor!r}, which knows the truth; want one that observes")
+    if config.start is None and world.start is None:
+        raise InputError(f"world {world.name!r} has no place to start from; give --start")
+    start = np.asarray(world.start if config.start is None else config.start, dtype=float)
+    _check_start(start, world, vehicle, distance_in(world))
+    check_padding(config.padding, vehicle)
+    return hover(start)
+
+
 def with_a_planner(config: InterceptConfig, vehicle: Vehicle) -> InterceptConfig:
     """The configuration with a planner, where none was asked for: mfrl if it was made for this vehicle, or a profile.
 
@@ -148,13 +189,17 @@ def planner_config(config: InterceptConfig, exhaustive: bool = False) -> Planner
     return usual if config.meet != "rest" else dataclasses.replace(usual, arrival=ArrivalConfig())
 
 
-def predictor_for(config: InterceptConfig, world: World, target: Target) -> StepPredictor:
-    """The predictor that was asked for, with the mixture that belongs to the world if it needs one."""
+def predictor_for(config: InterceptConfig, world: World, target: Target | None) -> StepPredictor:
+    """The predictor that was asked for, with the mixture that belongs to the world if it needs one.
+
+    Without a target only those that do not know the truth can be built; ``InputError`` for the others.
+    """
     prediction, model = PredictionConfig.for_world(world), None
     if PREDICTORS[config.predictor].learned:
         own = config.target_model
         model = shipped_model(config.world, prediction.dt) if own is None else load_model(own)
-    return build_predictor(config.predictor, prediction, target.position, config.seed, model, world)
+    truth = None if target is None else target.position
+    return build_predictor(config.predictor, prediction, truth, config.seed, model, world)
 
 
 def distance_in(world: World) -> DistanceFunction:

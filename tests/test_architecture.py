@@ -15,7 +15,7 @@ LAYERS = [
     {"minsnap", "vehicle", "world"},
     {"prediction", "search", "knots", "policy", "arrival", "selection", "tracking", "feasibility"} | {"optimizer"},
     {"planner"},
-    {"viz", "io", "interception", "scenario", "replanner", "metrics", "training", "reference"} | {"runtime"},
+    {"viz", "io", "interception", "scenario", "replanner", "metrics", "training", "reference"} | {"runtime", "mavlink"},
     {"runner"},
     {"cli", "experiments", "benchmarks", "jaxplan"},
 ]
@@ -40,6 +40,9 @@ SIBLINGS = {
     ("runtime", "scenario"),
     ("interception", "runtime"),
     ("viz", "io"),
+    ("mavlink", "runtime"),
+    ("mavlink", "replanner"),
+    ("mavlink", "io"),
 }
 """Imports within one layer, and only these."""
 
@@ -66,6 +69,10 @@ OWNERS = {
     "cyclopts": ("jaxplan/cli/", "experiments/"),
     "matplotlib": ("jaxplan/viz/", "experiments/figures/", "benchmarks/_figure.py"),
     "viser": ("jaxplan/viz/",),
+    "mcap": ("jaxplan/io/",),
+    "mcap_ros2": ("jaxplan/io/",),
+    "pyulog": ("jaxplan/io/",),
+    "pymavlink": ("jaxplan/mavlink/", "benchmarks/bench_mavlink.py"),
     "dask": ("jaxplan/runner/",),
     "distributed": ("jaxplan/runner/",),
 }

@@ -20,6 +20,7 @@ from jaxplan.cli.experiment import experiment
 from jaxplan.cli.export import export
 from jaxplan.cli.intercept import from_saved, intercept
 from jaxplan.cli.parameters import DEFAULT_PARAMETER
+from jaxplan.cli.stream import stream
 from jaxplan.cli.train import train
 from jaxplan.cli.vehicle import vehicle
 from jaxplan.cli.view import view
@@ -41,7 +42,7 @@ app = App(
     suppress_keyboard_interrupt=False,
 )
 app.command(intercept, config=from_saved)
-for command in (export, view, world, vehicle, bench, train):
+for command in (export, view, stream, world, vehicle, bench, train):
     app.command(command)
 app.command(experiment, help_flags=[], version_flags=[])
 

@@ -5,6 +5,7 @@ from typing import Literal
 from jaxplan.versions import require_supported_jax
 
 Benchmark = Literal[
+    "mavlink",
     "minsnap",
     "planner",
     "plant",

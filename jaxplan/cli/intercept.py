@@ -59,6 +59,8 @@ def intercept(
     for what in ("target", "vehicle"):
         for warning in metrics[what]["warnings"]:
             print(f"jaxplan: warning: {what}: {warning}", file=sys.stderr)
+    if metrics["target"].get("read_as"):
+        print(f"target read from {metrics['target']['read_as']}")
     print(summary(metrics))
     print(f"results in {config.out}: {', '.join(sorted(path.name for path in Path(config.out).iterdir()))}")
     return EXIT_NOT_INTERCEPTED if require_success and not episode.success else 0

@@ -1,7 +1,8 @@
 """Trajectories in the formats that other programs fly, and back (host, NumPy).
 
-What is written is in SI units and starts at time 0. The library's world is z up with yaw counter-clockwise from x: with
-x to the east that is ``enu``. ``ned`` is north, east, down with yaw clockwise from north. Crazyflies fly z up.
+What is written is in SI units and starts at time 0, but for TUM. The library's world is z up with yaw counter-clockwise
+from x: with x to the east that is ``enu``. ``ned`` is north, east, down with yaw clockwise from north. Crazyflies fly
+z up.
 """
 
 import json
@@ -15,22 +16,20 @@ from jaxtyping import Float
 from jaxplan.config import FRAMES, Frame
 from jaxplan.errors import FileError, InputError
 from jaxplan.files import read_limited
+from jaxplan.io.files import tum_text
+from jaxplan.io.sampled import SETPOINTS, attitudes, north_east_down_quat, sample_times, setpoint_table
 from jaxplan.io.septic import SIZE, as_septic
 from jaxplan.spline import PiecewisePolynomial
 from jaxplan.validation import as_finite, as_number
 
 MEMORY_PIECES = 31
 """Pieces in a Crazyflie's trajectory memory: 4096 bytes of 132 each."""
-MOST_SAMPLES = 1_000_000
-"""Setpoints in a file."""
 _PIECE = np.dtype([("coefficients", "<f4", (4, SIZE)), ("duration", "<f4")])
 """``struct poly4d`` of the firmware: ascending coefficients of x, y, z and yaw in seconds, then the duration."""
 _LARGEST = 64 * 2**20
 """Bytes of the largest file that is read."""
 _AXES = ("x", "y", "z", "yaw")
 _SEPTIC_HEADER = ",".join(["duration", *(f"{axis}^{power}" for axis in _AXES for power in range(SIZE))])
-SETPOINTS = ("t", "x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "jx", "jy", "jz", "yaw", "yaw_rate")
-"""Columns of sampled setpoints: s, m to m/s^3, rad, rad/s."""
 
 
 class Exported(NamedTuple):
@@ -51,6 +50,8 @@ class ExportConfig(NamedTuple):
     """Samples a second."""
     tolerance: float = 1e-3
     """How far [m] a trajectory of degree 7 may be from one of degree 9."""
+    start: float = 0.0
+    """What TUM's first time stamp is [s]: the episode's clock, so that it lies over ``flown.csv``."""
 
 
 class Format(NamedTuple):
@@ -80,7 +81,8 @@ def export_trajectory(spline: PiecewisePolynomial, name: str, config: ExportConf
             raise InputError(f"--{option}: have {value!r}, want a number above 0")
     given = _whole(spline)
     turned = given if config.frame == "enu" else north_east_down(given)
-    return FORMATS[name].write(turned, ExportConfig(config.frame, rate, tolerance))
+    start = as_finite("export: start", config.start, ()).item()
+    return FORMATS[name].write(turned, ExportConfig(config.frame, rate, tolerance, start))
 
 
 def _whole(spline: PiecewisePolynomial) -> PiecewisePolynomial:
@@ -220,18 +222,22 @@ def _read_mav_trajectory_generation(content: bytes) -> PiecewisePolynomial:
 
 def _write_setpoints(spline: PiecewisePolynomial, config: ExportConfig) -> Exported:
     """CSV of samples at an even rate, the end included."""
-    duration = float(spline.duration)
-    if not duration * config.rate <= MOST_SAMPLES:
-        raise InputError(
-            f"setpoints: have {duration:g} s at {config.rate:g} a second, want at most {MOST_SAMPLES} samples; give a "
-            "smaller --rate"
-        )
-    times = np.append(np.arange(int(np.ceil(duration * config.rate - 1e-9))) / config.rate, duration)
-    values = [np.asarray(spline.evaluate(times, derivative)) for derivative in range(4)]
-    columns = [times[:, None], *(value[:, :3] for value in values), values[0][:, 3:], values[1][:, 3:]]
-    table = _finite(np.hstack(columns))
+    times = sample_times(spline, config.rate, "setpoints")
+    table = _finite(setpoint_table(spline, times))
     lines = [",".join(SETPOINTS), *(",".join(f"{value:.9f}" for value in row) for row in table)]
     return Exported(("\n".join(lines) + "\n").encode(), len(times), 0.0)
+
+
+def _write_tum(spline: PiecewisePolynomial, config: ExportConfig) -> Exported:
+    """TUM's poses at an even rate, the end included: body FLU in east, north, up, or FRD in north, east, down."""
+    times = sample_times(spline, config.rate, "tum")
+    if config.frame == "enu":
+        quat_wxyz = attitudes(spline, times)
+    else:
+        quat_wxyz = north_east_down_quat(attitudes(north_east_down(spline), times))
+    position = np.asarray(spline.evaluate(times))[:, :3]
+    text = tum_text(config.start + times, _finite(position), _finite(quat_wxyz))
+    return Exported(text.encode(), len(times), 0.0)
 
 
 FORMATS = {
@@ -239,5 +245,6 @@ FORMATS = {
     "poly4d": Format(_write_poly4d, _read_poly4d, ("enu",)),
     "mav-trajectory-generation": Format(_write_mav_trajectory_generation, _read_mav_trajectory_generation, FRAMES),
     "setpoints": Format(_write_setpoints, None, FRAMES),
+    "tum": Format(_write_tum, None, FRAMES),
 }
 """By the names under which they are asked for."""

@@ -3,14 +3,28 @@
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxplan.errors import InternalError
+from jaxplan.errors import FileError, InternalError
+from jaxplan.files import read_limited
 
 TUM_HEADER = "timestamp tx ty tz qx qy qz qw"
+_LARGEST_TRACK = 64 * 2**20
+"""Bytes of a TUM file: an hour at 200 a second."""
+
+
+class Track(NamedTuple):
+    """Poses over time."""
+
+    times: Float[np.ndarray, "n"]
+    """Seconds."""
+    positions: Float[np.ndarray, "n 3"]
+    """Metres."""
+    quat_wxyz: Float[np.ndarray, "n 4"]
+    """Body to world."""
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -23,10 +37,34 @@ def write_tum(
     path: Path, times: Float[np.ndarray, "n"], positions: Float[np.ndarray, "n 3"], quat_wxyz: Float[np.ndarray, "n 4"]
 ) -> None:
     """Write a trajectory in TUM's format: s, m (world, z up), and the body's attitude as xyzw, space separated."""
-    table = np.column_stack([times, positions, np.roll(np.asarray(quat_wxyz, dtype=float), -1, axis=-1)])
-    if not np.isfinite(table).all():
+    if not all(np.isfinite(part).all() for part in (times, positions, quat_wxyz)):
         raise InternalError(f"the trajectory for {Path(path).name!r} has NaN or infinite values; please report this")
-    np.savetxt(path, table, fmt="%.9f", delimiter=" ", header=TUM_HEADER, encoding="utf-8")
+    Path(path).write_text(tum_text(times, positions, quat_wxyz), encoding="utf-8")
+
+
+def tum_text(
+    times: Float[np.ndarray, "n"], positions: Float[np.ndarray, "n 3"], quat_wxyz: Float[np.ndarray, "n 4"]
+) -> str:
+    """The content of a TUM file, with a header that its readers skip."""
+    table = np.column_stack([times, positions, np.roll(np.asarray(quat_wxyz, dtype=float), -1, axis=-1)])
+    return "\n".join([f"# {TUM_HEADER}", *(" ".join(f"{value:.9f}" for value in row) for row in table), ""])
+
+
+def read_tum(path: Path) -> Track:
+    """The poses in a TUM file, as ``write_tum`` writes them.
+
+    Raises:
+        FileError: there is no such file, or it holds something else.
+    """
+    content = read_limited(path, _LARGEST_TRACK, "poses as TUM has them")
+    try:
+        rows = [line.split() for line in content.decode().splitlines() if not line.startswith("#")]
+        table = np.array(rows, dtype=float)
+        if table.ndim != 2 or table.shape[1] != 8 or not np.isfinite(table).all():
+            raise ValueError("rows of eight finite numbers are wanted")
+    except ValueError as error:
+        raise FileError(f"{path}: is no TUM file ({error}); give another one") from error
+    return Track(table[:, 0], table[:, 1:4], np.roll(table[:, 4:], 1, axis=-1))
 
 
 def plain(value: Any) -> Any:

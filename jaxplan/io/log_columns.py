@@ -14,9 +14,10 @@ from jaxplan.errors import InputError
 from jaxplan.validation import checks_itself, require_one_of
 
 WANT = "want t,x,y,z or timestamp tx ty tz in seconds and metres"
-_SECONDS = {"s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3}
-_SECONDS |= {"millisecond": 1e-3, "milliseconds": 1e-3, "us": 1e-6, "usec": 1e-6, "µs": 1e-6, "microseconds": 1e-6}
-_SECONDS |= {"ns": 1e-9, "nsec": 1e-9, "nanoseconds": 1e-9}
+SECONDS = {"s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3}
+SECONDS |= {"millisecond": 1e-3, "milliseconds": 1e-3, "us": 1e-6, "usec": 1e-6, "µs": 1e-6, "microseconds": 1e-6}
+SECONDS |= {"ns": 1e-9, "nsec": 1e-9, "nanoseconds": 1e-9}
+"""By the names of their units."""
 _METRES = {"m": 1.0, "meter": 1.0, "meters": 1.0, "metre": 1.0, "metres": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3}
 _METRES |= {"ft": 0.3048, "feet": 0.3048}
 _TIMES = ("t", "time", "timestamp", "stamp", "sec", "seconds", "%time", "__time", "rosbagtimestamp")
@@ -40,9 +41,9 @@ class LogFormat:
     time_unit: TimeUnit | None = None
     """Of the times; None: what the header says, or seconds."""
     frame: Frame | None = None
-    """ned: north, east, down; None: z up, unless the header says otherwise."""
+    """ned: north, east, down; None: z up, unless the header or the log's format says otherwise."""
     columns: tuple[str, str, str, str] | None = None
-    """Time, x, y and z by their names in the header, or by number from 1."""
+    """Time, x, y and z by their names in the header, or by number from 1; by topic and field in a log with topics."""
 
     def __post_init__(self) -> None:
         if self.time_unit is not None:
@@ -83,7 +84,7 @@ def layout_of(header: list[str] | None, how: LogFormat) -> Layout:
             "the columns are PX4's, whose positions are north-east-down; give --frame ned, or enu if turned"
         )
     unit = how.time_unit or _time_unit(time, named)
-    scales = (_scale(time, unit, _SECONDS, "s"), *(_scale(axis, axis.unit, _METRES, "m") for axis in axes))
+    scales = (_scale(time, unit, SECONDS, "s"), *(_scale(axis, axis.unit, _METRES, "m") for axis in axes))
     return Layout(tuple(column.place for column in chosen), scales, unit is not None)  # type: ignore[arg-type]
 
 
@@ -98,7 +99,7 @@ def _column(place: int, field: str) -> _Column:
     if split and not split["unit"].isdigit():
         return _Column(place, split["name"], split["unit"])
     base, _, suffix = name.rpartition("_")
-    stands_for_unit = (base in _TIMES and suffix in _SECONDS) or (_axis_of(base) is not None and suffix in _METRES)
+    stands_for_unit = (base in _TIMES and suffix in SECONDS) or (_axis_of(base) is not None and suffix in _METRES)
     return _Column(place, base, suffix) if stands_for_unit else _Column(place, name, None)
 
 

@@ -1,17 +1,20 @@
 """Recorded flights of a target: ``t,x,y,z`` or ``timestamp tx ty tz``, comma, semicolon or space separated.
 
+Logs with many topics, PX4's (``ulog``) and MCAP (``mcap_log``), are known by their first bytes.
+
 A header is optional (``log_columns`` knows many), ``#`` starts a comment, further columns (TUM's quaternion) are
 ignored. What cannot be used is an error that names the line; what can be used but deserves a look is in the log's
 ``report``. Large files are read at NumPy's speed, and once more line by line where something is wrong.
 """
 
+import dataclasses
 import os
 import warnings
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
+from typing import NamedTuple, TextIO
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +22,11 @@ from scipy.interpolate import PchipInterpolator
 
 from jaxplan.errors import FileError, InputError
 from jaxplan.io.log_columns import WANT, Layout, LogFormat, layout_of
+from jaxplan.io.logged import Logged
+from jaxplan.io.mcap_log import LARGEST_MCAP, read_mcap
+from jaxplan.io.mcap_records import MAGIC as MCAP
+from jaxplan.io.ulog import LARGEST_ULOG, read_ulog
+from jaxplan.io.ulog import MAGIC as ULOG
 
 _LARGEST_FILE = 256 * 2**20
 _MOST_SAMPLES = 10_000_000
@@ -61,6 +69,8 @@ class LogReport:
     """s"""
     gaps: tuple[Gap, ...]
     jumps: tuple[Jump, ...]
+    chosen: str = ""
+    """Of a log with many topics, which one was read and how."""
 
     def warnings(self) -> list[str]:
         """One sentence per kind of irregularity; empty for a clean recording."""
@@ -84,9 +94,17 @@ class TargetLog:
 
 
 def read_target_log(path: str | Path, how: LogFormat | None = None) -> TargetLog:
-    """Read a recorded flight; raises ``FileError`` naming the line where it cannot be used."""
+    """Read a recorded flight.
+
+    Raises:
+        FileError: it cannot be used; the line is named. ResourceError: it is a log whose package is not installed.
+    """
     path, how = Path(path), how or LogFormat()
     _check_file(path)
+    binary = _binary(path)
+    _check_size(path, binary.largest if binary else _LARGEST_FILE)
+    if binary:
+        return _from_binary(path, how, binary)
     with _opened(path) as stream:
         number, first = next(_rows(path, stream), (0, []))
         if not first:
@@ -103,9 +121,44 @@ def read_target_log(path: str | Path, how: LogFormat | None = None) -> TargetLog
     seconds, metres = table[:, 0] * layout.scales[0], table[:, 1:] * layout.scales[1:]
     if not layout.unit_stated:
         _check_seconds(path, seconds, metres)
-    if how.frame == "ned":
-        metres = metres[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
-    return target_log(seconds, metres)
+    return target_log(seconds, _upwards(metres, how.frame))
+
+
+class _Binary(NamedTuple):
+    """A log with many topics, by its first bytes."""
+
+    magic: bytes
+    largest: int
+    """Bytes."""
+    read: Callable[[Path, LogFormat], Logged]
+
+
+_BINARIES = (_Binary(ULOG, LARGEST_ULOG, read_ulog), _Binary(MCAP, LARGEST_MCAP, read_mcap))
+
+
+def _binary(path: Path) -> _Binary | None:
+    """How a file is read that is no text; None for others."""
+    try:
+        with path.open("rb") as stream:
+            begin = stream.read(8)
+    except OSError as error:
+        raise FileError(f"target file {str(path)!r} cannot be read: {error.strerror}") from error
+    return next((binary for binary in _BINARIES if begin.startswith(binary.magic)), None)
+
+
+def _from_binary(path: Path, how: LogFormat, binary: _Binary) -> TargetLog:
+    """A flight out of a log with many topics."""
+    try:
+        found = binary.read(path, how)
+    except (InputError, FileError) as error:
+        raise FileError(f"target file {str(path)!r}: {error}") from error
+    log = target_log(found.times, _upwards(found.positions, found.frame))
+    return dataclasses.replace(log, report=dataclasses.replace(log.report, chosen=found.chosen))
+
+
+def _upwards(metres: Float[np.ndarray, "n 3"], frame: str | None) -> Float[np.ndarray, "n 3"]:
+    """Positions with z up, of a frame that has it so or down."""
+    return metres[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0]) if frame == "ned" else metres
 
 
 def target_log(times: Float[np.ndarray, "n"], positions: Float[np.ndarray, "n 3"]) -> TargetLog:
@@ -148,8 +201,11 @@ def _check_file(path: Path) -> None:
         raise FileError(f"target file {str(path)!r} does not exist; give a stored target's name or a file's path")
     if not os.path.isfile(path):
         raise FileError(f"target file {str(path)!r} is not a regular file; {WANT}")
-    if path.stat().st_size > _LARGEST_FILE:
-        raise FileError(f"target file {str(path)!r} has more than {_LARGEST_FILE >> 20} MiB; cut or thin it first")
+
+
+def _check_size(path: Path, largest: int) -> None:
+    if path.stat().st_size > largest:
+        raise FileError(f"target file {str(path)!r} has more than {largest >> 20} MiB; cut or thin it first")
 
 
 def _check_seconds(path: Path, seconds: Float[np.ndarray, "n"], metres: Float[np.ndarray, "n 3"]) -> None:

@@ -52,6 +52,8 @@ class Target:
     """Before it was scaled to the chosen speed."""
     rate: float
     """Seconds of unscaled motion in a second."""
+    read_as: str = ""
+    """Of a log with many topics, which one was read and how."""
 
     def position(self, times: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n 3"]:
         """Where the target is at ``times`` [s]: metres, world."""
@@ -126,9 +128,10 @@ def _recorded(path: Path, speed: float | None, how: LogFormat | None) -> Target:
     even = resample(log, min(_LOG_INTERVAL, log.report.duration / 2.0))
     curve = PchipInterpolator(even.times - even.times[0], even.positions, axis=0)
     duration = float(even.times[-1] - even.times[0])
-    return _scaled(
+    target = _scaled(
         path.stem, duration, lambda times, derivative: curve(times, derivative), speed, log.report.warnings()
     )
+    return dataclasses.replace(target, read_as=log.report.chosen)
 
 
 def _scaled(

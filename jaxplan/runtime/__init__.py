@@ -4,9 +4,19 @@
 in shared memory (``ring``, ``channel``, ``messages``); ``table`` and ``held`` are the plans as they are flown.
 """
 
-from jaxplan.runtime.build import from_config
+from jaxplan.runtime.build import from_config, from_observed
 from jaxplan.runtime.held import Setpoint
 from jaxplan.runtime.pilot import Runtime
 from jaxplan.runtime.records import Build, Built, Phase, RuntimeConfig, RuntimeStatus
 
-__all__ = ["Build", "Built", "Phase", "Runtime", "RuntimeConfig", "RuntimeStatus", "Setpoint", "from_config"]
+__all__ = [
+    "Build",
+    "Built",
+    "Phase",
+    "Runtime",
+    "RuntimeConfig",
+    "RuntimeStatus",
+    "Setpoint",
+    "from_config",
+    "from_observed",
+]

@@ -4,7 +4,7 @@ import functools
 
 from jaxplan.config import InterceptConfig
 from jaxplan.runtime.records import Build, Built
-from jaxplan.scenario import build_scenario
+from jaxplan.scenario import build_planning, build_scenario
 from jaxplan.world.update import with_spare_boxes
 
 
@@ -25,3 +25,13 @@ def _built(config: InterceptConfig, spare_boxes: int) -> Built:
         return Built(scenario.planner, scenario.predictor, scenario.world, scenario.start)
     world = with_spare_boxes(scenario.world, spare_boxes)
     return Built(scenario.planner.in_world(world), scenario.predictor, world, scenario.start)
+
+
+def from_observed(config: InterceptConfig) -> Build:
+    """The same against a target that only sensors know, which needs no trajectory of it."""
+    return functools.partial(_observed, config)
+
+
+def _observed(config: InterceptConfig) -> Built:
+    world, planner, predictor, start = build_planning(config)
+    return Built(planner, predictor, world, start)

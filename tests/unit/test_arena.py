@@ -23,7 +23,7 @@ from jaxplan.runner.definition import Results
 from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import World, aligned_boxes, make_obstacles
-from tolerances import tolerance
+from tolerances import relative, tolerance
 
 
 @pytest.fixture(scope="module")
@@ -154,7 +154,7 @@ def test_a_recorded_flight_gets_a_room_around_it(tmp_path) -> None:
     rows = np.stack([times, 5.0 * np.cos(times / 2.0), 5.0 * np.sin(times / 2.0), 1.5 + 0.0 * times], axis=1)
     np.savetxt(path, rows, delimiter=",", header="t,x,y,z", comments="")
     slow, fast = (case("recorded", level, 0, 0, (str(path),)) for level in (1, 3))
-    assert fast.target.max_speed == pytest.approx(4.0 * slow.target.max_speed, rel=1e-6)
+    assert fast.target.max_speed == pytest.approx(4.0 * slow.target.max_speed, **relative("formula"))
     assert host_free_distance(fast.world, fast.target.position(np.linspace(0.0, fast.target.duration, 200))).min() > 0.5
 
 
@@ -163,7 +163,7 @@ def test_fast_navigation_uses_all_of_its_acceleration() -> None:
     for _ in range(20):
         apart, relative, own = rng.normal(scale=5.0, size=(3, 3))
         wanted = command(FAST, apart, relative, own, own + relative)
-        assert np.linalg.norm(wanted) == pytest.approx(COMMANDED, rel=1e-6)
+        assert np.linalg.norm(wanted) == pytest.approx(COMMANDED, **relative("formula"))
     straight = command(FAST, np.array([5.0, 0.0, 0.0]), np.array([-2.0, 0.0, 0.0]), np.array([2.0, 0, 0]), np.zeros(3))
     np.testing.assert_allclose(straight, [COMMANDED, 0.0, 0.0], **tolerance("exact"))
 
@@ -181,7 +181,7 @@ def test_routed_navigation_flies_around_the_wall(wall: World) -> None:
     state = np.zeros((5, 3))
     state[0] = [2.0, 2.0, 1.0]
     straight, around = (law_named("navigation", way)(state, still([8.0, 2.0, 1.0])) for way in (None, aim))
-    assert straight[1] == pytest.approx(0.0, abs=1e-9)
+    assert straight[1] == pytest.approx(0.0, **relative("formula"))
     assert around[1] > 0.5
 
 

@@ -274,3 +274,14 @@ def test_bad_arguments_end_in_one_line(
 def test_json_is_yaml() -> None:
     """Flow style: any JSON reader takes it, too."""
     assert len(json.loads(export_trajectory(SPLINE, "mav-trajectory-generation").content)["segments"]) == 4
+
+
+def test_degree_9_stays_the_same_path() -> None:
+    """Share by share of every segment: nanoseconds move the knots in time, nothing else."""
+    durations, coefficients = decoded_yaml(export_trajectory(SPLINE, "mav-trajectory-generation").content)
+    np.testing.assert_allclose(durations, SPLINE.durations, rtol=0.0, atol=1e-9)  # whole nanoseconds
+    shares = np.linspace(0.0, 1.0, 50)
+    for number, duration in enumerate(durations):
+        theirs = [np.polynomial.Polynomial(row)(shares * duration) for row in coefficients[number, :3]]
+        ours = np.asarray(SPLINE.position)[number].T @ shares ** np.arange(10)[:, None]
+        assert np.abs(np.array(theirs) - ours).max() <= 1e-9

@@ -64,7 +64,9 @@ def made_up_cycle(start: np.ndarray, goals: np.ndarray, time: float = 0.5, chose
     reasons[traced:] = int(Reason.OUT_OF_REACH)
     lanes = np.concatenate([np.arange(traced), [-1, -1]])
     plans = SimpleNamespace(goals=goals, reasons=reasons, trajectory=lanes, splines=splines)
-    return SimpleNamespace(time=time, status=PlanStatus.INTERCEPT, plans=plans, chosen=chosen)
+    counts = {"generated": len(goals), "rejected": {"clearance": int((reasons > 0).sum())}, "refused": 0}
+    numbers = {"deviation": 0.01, "latency": 0.1, "sooner": 0.0, "stage_ms": {"search": 3.0, "minsnap": 9.5}}
+    return SimpleNamespace(time=time, status=PlanStatus.INTERCEPT, plans=plans, chosen=chosen, **counts, **numbers)
 
 
 def made_up_episode(world: World, outcome: str = "intercepted") -> Any:
