@@ -16,4 +16,5 @@ NAMES = (
     "vehicles",
     "reference-times",
     "foreign-plants",
+    "firmware",
 )

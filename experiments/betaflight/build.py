@@ -5,6 +5,8 @@ hash below, the program that ``make`` and ``gcc`` make of it, the clock library 
 firmware's settings by the hash of the commands that make them.
 """
 
+import contextlib
+import fcntl
 import hashlib
 import os
 import shutil
@@ -12,7 +14,7 @@ import subprocess
 import sys
 import tarfile
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -47,14 +49,23 @@ def build() -> Firmware:
     """
     folder = _folder()
     program = folder / PROGRAM
-    if not program.is_file():
-        require_tools()
-        _make(folder, program)
     clock = folder / f"clock-{hashlib.sha256(CLOCK_SOURCE.read_bytes()).hexdigest()[:16]}.so"
-    if not clock.is_file():
-        require_tools()
-        compile_clock(clock)
+    with one_at_a_time(folder):
+        if not program.is_file():
+            require_tools()
+            _make(folder, program)
+        if not clock.is_file():
+            require_tools()
+            compile_clock(clock)
     return Firmware(program, clock)
+
+
+@contextlib.contextmanager
+def one_at_a_time(folder: Path) -> Iterator[None]:
+    """Whoever makes something in a folder waits here for whoever does so already."""
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def require_tools() -> None:
@@ -119,9 +130,7 @@ def check_archive(path: Path) -> None:
     """Raise ``FileError`` for an archive that is not the one this was written for."""
     found = hashlib.sha256(path.read_bytes()).hexdigest()
     if found != ARCHIVE_SHA256:
-        raise FileError(
-            f"{path}: its SHA-256 is {found}, want {ARCHIVE_SHA256}; remove it, and it is downloaded again"
-        )
+        raise FileError(f"{path}: its SHA-256 is {found}, want {ARCHIVE_SHA256}; remove it, and it is downloaded again")
 
 
 def _run(step: str, command: Sequence[str]) -> None:

@@ -1,12 +1,12 @@
 """What a radio's pilot does, here from true state: collective thrust and body rates that follow a reference.
 
     f   = a_ref + drag(v_ref) / m + g e_z + k_x e_x + k_v e_v                  specific thrust vector [m/s^2, world]
-    w_c = R^T R_ref (w_ref + lead dw_ref) + k_R theta(R^T R_f)                 body rates [rad/s, body]
+    w_c = R^T R_ref (w_ref + tau dw_ref) + (k_R / k_W) theta(R^T R_f)          body rates [rad/s, body]
 
 theta is the rotation vector to the attitude R_f that has f along b_z and the reference's yaw; w_ref and dw_ref follow
 from the reference against drag by differential flatness (``vehicle.flatness``; Faessler, Franchi and Scaramuzza, RA-L
-2018, with our quadratic drag). The rate loop, its mixer and the motors are not ours. They follow late, so thrust
-and rates are asked for as they will be needed ``lead`` seconds later.
+2018, with our quadratic drag). The rotors are late by their time constant tau, so thrust and rates are asked for as
+they are needed then. The gains are the vehicle's [se3], of whose attitude loop the rate loop here is the firmware's.
 """
 
 import jax
@@ -24,12 +24,6 @@ from jaxplan.vehicle.rotations import rotation_from_quat, rotation_vector
 from .link import HIGH, MIDDLE, Sticks
 from .settings import MOST_RATE
 
-POSITION, VELOCITY = 10.0, 5.0
-"""k_x [1/s^2] and k_v [1/s]."""
-ATTITUDE = (10.0, 10.0, 5.0)
-"""k_R [1/s], about body x, y, z."""
-LEAD = 0.02
-"""s."""
 IDLE = 0.055
 """Share of full motor output with the throttle low: the firmware's motor_idle as it is shipped."""
 LOWEST_THROTTLE = 1050
@@ -44,20 +38,21 @@ def demands(vehicle: Vehicle, references: FlatState) -> FlatOutputs:
 
 def commands(vehicle: Vehicle, state: PlantState, reference: FlatState, demand: FlatOutputs) -> Float[AnyArray, "4"]:
     """Motor output [0 to 1] and body rates [rad/s]; ``vehicle`` is cast already."""
-    rotation = rotation_from_quat(state.quat_wxyz)
+    rotation, gains, dtype = rotation_from_quat(state.quat_wxyz), vehicle.se3, state.pos.dtype
+    lag, pushed = vehicle.motor_time_constant, against_drag(vehicle, reference)
     force = (
-        against_drag(vehicle, reference).acc
-        + vehicle.gravity * jnp.array([0.0, 0.0, 1.0], state.pos.dtype)
-        + POSITION * (reference.pos - state.pos)
-        + VELOCITY * (reference.vel - state.vel)
+        pushed.acc
+        + vehicle.gravity * jnp.array([0.0, 0.0, 1.0], dtype)
+        + jnp.array(gains.position, dtype) * (reference.pos - state.pos)
+        + jnp.array(gains.velocity, dtype) * (reference.vel - state.vel)
     )
-    soon = force + LEAD * against_drag(vehicle, reference).jerk
+    soon = force + lag * pushed.jerk
     thrust = vehicle.mass * jnp.maximum(jnp.dot(soon, rotation[:, 2]), 0.0)
     output = jnp.sqrt(0.25 * thrust / vehicle.thrust_coefficient) / vehicle.rotor_speed_max
-    ahead = rotation.T @ (demand.rotation @ (demand.body_rates + LEAD * demand.angular_acceleration))
+    ahead = rotation.T @ (demand.rotation @ (demand.body_rates + lag * demand.angular_acceleration))
     error = rotation_vector(rotation.T @ attitude_from(force, reference.yaw[0]))
-    rates = ahead + jnp.array(ATTITUDE, error.dtype) * error
-    return jnp.concatenate([output[None], rates])
+    stiffness = jnp.array(gains.attitude, dtype) / jnp.array(gains.rates, dtype)
+    return jnp.concatenate([output[None], ahead + stiffness * error])
 
 
 def sticks(output: float, rates: Float[np.ndarray, "3"]) -> Sticks:

@@ -74,7 +74,7 @@ def motor_of_rotor(vehicle: Vehicle) -> Int[np.ndarray, "4"]:
         InputError: the vehicle is not the X that the firmware's mixer flies.
     """
     sides = np.sign(np.asarray(vehicle.rotor_positions)[:, :2])
-    motors = np.array([np.flatnonzero((_SIDES == side).all(axis=1)).sum() for side in sides])
+    motors = np.array([np.flatnonzero((side == _SIDES).all(axis=1)).sum() for side in sides])
     if sorted(motors.tolist()) != [0, 1, 2, 3] or (sides == 0.0).any():
         raise InputError(f"firmware: rotors of vehicle {vehicle.name!r} are not one at each of {', '.join(CORNERS)}")
     if (_SPINS[motors] != np.asarray(vehicle.rotor_spin)).any():
@@ -101,7 +101,7 @@ class FirmwarePlant:
         self._advance, self._draw = _physics(vehicle), _draws(noise)
         self._running = contextlib.ExitStack()
         self._link: Link | None = None
-        self._time, self._step = 0.0, 0
+        self._exchanges, self._step = 0, 0
         self._sensors = np.zeros(16)
 
     def __enter__(self) -> Plant:
@@ -166,17 +166,16 @@ class FirmwarePlant:
 
     def _exchange(self, link: Link, sticks: Sticks) -> Float[np.ndarray, "4"]:
         """One step of the firmware's clock."""
-        self._time += 1
+        self._exchanges += 1
         ends = np.split(self._sensors, (3, 6, 10, 13))
-        return link.step(BOOT + self._time * DT, Sensors(*ends), sticks)
+        return link.step(BOOT + self._exchanges * DT, Sensors(*ends), sticks)
 
     def _take_off(self, link: Link) -> None:
         """Hold the vehicle in the air until the firmware turns its motors as in hover."""
         wanted = float(hover_speeds(self._vehicle).mean() / self._vehicle.rotor_speed_max)
         raised = outer_loop.sticks(wanted, np.zeros(3))
         low = Sticks(MIDDLE, MIDDLE, LOW, MIDDLE, armed=False)
-        self._time = 0
-        motors = np.zeros(4)
+        self._exchanges, motors = 0, np.zeros(4)
         for step in range(round(LET_GO_AT * PHYSICS_RATE)):
             now = step / PHYSICS_RATE
             held = raised if now >= RAISED_AT else low._replace(armed=now >= ARMED_AT)
@@ -200,7 +199,9 @@ def _physics(vehicle: Vehicle) -> Advance:
         after = physics_step(cast, body, state, speeds, noise, disturbance, state.step / CONTROL_RATE)
         acceleration = (after.vel - state.vel) / DT
         rates = after.body_rates + jnp.sqrt(cast.gyroscope_variance) * noise.gyroscope
-        return after, _sensed(cast, after, rates, acceleration, jnp.sqrt(cast.accelerometer_variance) * noise.accelerometer)
+        return after, _sensed(
+            cast, after, rates, acceleration, jnp.sqrt(cast.accelerometer_variance) * noise.accelerometer
+        )
 
     return float32_island(advance)
 
@@ -242,9 +243,7 @@ _commands = float32_island(outer_loop.commands)
 
 
 @float32_island
-def _log(
-    vehicle: Vehicle, states: PlantState, targets: FlatState, saturated: Bool[AnyArray, "n"]
-) -> FlightLog:
+def _log(vehicle: Vehicle, states: PlantState, targets: FlatState, saturated: Bool[AnyArray, "n"]) -> FlightLog:
     return jax.vmap(log_row, in_axes=(None, 0, 0, 0))(vehicle, states, targets, saturated)
 
 

@@ -60,7 +60,9 @@ def has_own_network() -> bool:
 
 
 @contextlib.contextmanager
-def running(firmware: Firmware, folder: Path, boot: float | None, *, own_network: bool | None = None) -> Iterator[Running]:
+def running(
+    firmware: Firmware, folder: Path, boot: float | None, *, own_network: bool | None = None
+) -> Iterator[Running]:
     """The firmware, from its start until the block is left, however it is left; then it is killed.
 
     Args:

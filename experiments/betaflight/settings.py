@@ -2,7 +2,6 @@
 
 import contextlib
 import hashlib
-import shutil
 import subprocess
 import tempfile
 import time
@@ -10,7 +9,7 @@ from pathlib import Path
 
 from jaxplan.errors import ResourceError
 
-from .build import Firmware
+from .build import Firmware, one_at_a_time
 from .launcher import COMMAND_PORT
 from .link import LOOPBACK
 from .process import Running, running
@@ -46,13 +45,12 @@ def settings_file(firmware: Firmware, commands: tuple[str, ...] = COMMANDS) -> P
     """
     digest = hashlib.sha256("\n".join(commands).encode()).hexdigest()[:16]
     path = firmware.program.with_name(f"settings-{digest}.bin")
-    if not path.is_file():
-        with tempfile.TemporaryDirectory(dir=path.parent) as staged:
-            folder = Path(staged)
-            with running(firmware, folder, boot=None) as process:
-                _tell(process, commands)
-            shutil.move(folder / MEMORY, folder / path.name)
-            (folder / path.name).replace(path)
+    with one_at_a_time(path.parent):
+        if not path.is_file():
+            with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+                with running(firmware, Path(folder), boot=None) as process:
+                    _tell(process, commands)
+                (Path(folder) / MEMORY).replace(path)
     return path
 
 
