@@ -39,13 +39,14 @@ def report(results: Results[Any]) -> Report:
     low, high = wilson(met, len(flights))
     gentle = [row["rms"] for row in references if row["speed"] <= GENTLE]
     closest = f"largest rms of the references up to {GENTLE:g} m/s: {1e3 * max(gentle):.1f} mm. " if gentle else ""
-    own_network = all(row["own_network"] for _, row in known)
+    alone = all(row["own_network"] for _, row in known)
+    network = "a network of its own" if alone else "the fixed ports of 127.0.0.1, with no network of its own here"
     text = (
         f"{as_markdown(REFERENCE_HEADER, [_reference_cells(row) for row in references])}\n"
         f"{as_markdown(MET_HEADER, [_met_cells(name, row) for name, row in flights])}\n"
         f"Interceptions by the firmware: {met} of {len(flights)} met (95 %: {number(low)} to {number(high)}), "
         f"{collided} collisions; {closest}Flown twice with every bit the same: {alike} of {len(known)}. "
-        f"The firmware had {'a network of its own' if own_network else 'the fixed ports of 127.0.0.1: no network of its own here'}.\n"
+        f"The firmware had {network}.\n"
     )
     return Report(
         markdown=f"{text}\n![firmware](firmware.png)\n",

@@ -1,9 +1,10 @@
 """The firmware's packets, and one exchange after another in lockstep.
 
 All little-endian. State, to UDP 9003: 18 doubles, time [s]; body rates FRD [rad/s]; specific force FLU, negated
-[m/s^2]; attitude FRD to NED as a quaternion w x y z; velocity ENU [m/s]; longitude, latitude [deg] and altitude [m];
-pressure [Pa]. Radio, to UDP 9004: a double, time [s], and 16 uint16, channels in the order AETR, then AUX1. Motors,
-from UDP 9002: 4 floats, 0 to 1, front right, rear left, front left, rear right.
+[m/s^2]; attitude of FRD axes in the world that is turned likewise, (x, -y, -z), as a quaternion w x y z; velocity ENU
+[m/s]; longitude, latitude [deg] and altitude [m]; pressure [Pa]. Radio, to UDP 9004: a double, time [s], and 16 uint16,
+channels in the order AETR, then AUX1. Motors, from UDP 9002: 4 floats, 0 to 1, front right, rear left, front left, rear
+right.
 """
 
 import struct
