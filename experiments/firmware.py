@@ -38,7 +38,7 @@ from .firmware_report import KEPT_RATE, report
 
 REFERENCES = "references"
 """The group of the items that follow a reference."""
-HALF_LENGTH, HEIGHT, HOVERED = 2.0, 1.5, 10.0
+HALF_LENGTH, HEIGHT, HOVERED = 3.0, 1.5, 10.0
 """m, of the eights; m, where everything but an interception is flown; s, of a hover (arbitrary)."""
 
 

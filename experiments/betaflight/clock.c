@@ -1,7 +1,6 @@
 /* Loaded before the C library into the software-in-the-loop firmware: a virtual CLOCK_MONOTONIC and its own loopback.
  *
- * The firmware's main thread is the only one that moves the clock: a look at it costs JAXPLAN_LOOK_NS, a sleep what is
- * slept. It runs freely up to JAXPLAN_BOOT_S seconds, then stands until a radio packet and a state packet that carry the
+ * The firmware's main thread is the only one that moves the clock: a look at it costs LOOK_NS, a sleep what is slept. It runs freely up to JAXPLAN_BOOT_S seconds, then stands until a radio packet and a state packet that carry the
  * same later time have both been dealt with, and runs up to that time. Whenever it stands, what it told the motors last
  * is sent, once: a packet after the boot, then one for each pair, whatever the machine does meanwhile. Other threads (they only receive) see the
  * clock without moving it. Without JAXPLAN_BOOT_S time is real, for the command line.
@@ -28,9 +27,9 @@ enum { STATE, RADIO, KINDS };
 enum { STATE_BYTES = 18 * 8, RADIO_BYTES = 8 + 16 * 2, MOTOR_BYTES = 4 * 4 };
 enum { PORT_MOTORS_RAW = 9001, PORT_MOTORS = 9002 };
 #define SECOND 1000000000ULL
+#define LOOK_NS 1000 /* arbitrary: the firmware polls, so a look must cost something */
 
 static int is_virtual;
-static uint64_t look_ns = 1000;
 static pthread_t main_thread;
 
 static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
@@ -62,7 +61,7 @@ static void *next(const char *name)
 
 __attribute__((constructor)) static void begin(void)
 {
-    const char *boot = getenv("JAXPLAN_BOOT_S"), *look = getenv("JAXPLAN_LOOK_NS"), *parent = getenv("JAXPLAN_PARENT");
+    const char *boot = getenv("JAXPLAN_BOOT_S"), *parent = getenv("JAXPLAN_PARENT");
     real_clock_gettime = next("clock_gettime");
     real_nanosleep = next("nanosleep");
     real_select = next("select");
@@ -72,7 +71,6 @@ __attribute__((constructor)) static void begin(void)
     prctl(PR_SET_PDEATHSIG, SIGKILL);
     if (parent && getppid() != (pid_t)atol(parent)) _exit(126); /* it was gone already */
     main_thread = pthread_self();
-    if (look && atoll(look) > 0) look_ns = (uint64_t)atoll(look);
     if (boot) {
         is_virtual = 1;
         limit_ns = (uint64_t)llround(atof(boot) * 1e9);
@@ -119,7 +117,7 @@ static void done_with_packet(void)
 int clock_gettime(clockid_t clock, struct timespec *out)
 {
     if (!is_virtual || clock != CLOCK_MONOTONIC) return real_clock_gettime(clock, out);
-    if (in_main()) advance(look_ns);
+    if (in_main()) advance(LOOK_NS);
     pthread_mutex_lock(&lock);
     out->tv_sec = now_ns / SECOND;
     out->tv_nsec = now_ns % SECOND;
@@ -171,21 +169,19 @@ ssize_t sendto(int fd, const void *data, size_t size, int flags, const struct so
 
 int bind(int fd, const struct sockaddr *address, socklen_t length)
 {
-    struct sockaddr_in4_or_6 {
-        union {
-            struct sockaddr_in v4;
-            struct sockaddr_in6 v6;
-        } as;
+    union {
+        struct sockaddr_in v4;
+        struct sockaddr_in6 v6;
     } own;
     if (length > sizeof own) return real_bind(fd, address, length);
     memcpy(&own, address, length);
-    if (address->sa_family == AF_INET && own.as.v4.sin_addr.s_addr == htonl(INADDR_ANY))
-        own.as.v4.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    if (address->sa_family == AF_INET6 && IN6_IS_ADDR_UNSPECIFIED(&own.as.v6.sin6_addr)) {
-        own.as.v6.sin6_addr = in6addr_any; /* 127.0.0.1, as version 6 writes it */
-        own.as.v6.sin6_addr.s6_addr[10] = own.as.v6.sin6_addr.s6_addr[11] = 0xff;
-        own.as.v6.sin6_addr.s6_addr[12] = 127;
-        own.as.v6.sin6_addr.s6_addr[15] = 1;
+    if (address->sa_family == AF_INET && own.v4.sin_addr.s_addr == htonl(INADDR_ANY))
+        own.v4.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    if (address->sa_family == AF_INET6 && IN6_IS_ADDR_UNSPECIFIED(&own.v6.sin6_addr)) {
+        unsigned char *bytes = own.v6.sin6_addr.s6_addr; /* 127.0.0.1, as version 6 writes it */
+        bytes[10] = bytes[11] = 0xff;
+        bytes[12] = 127;
+        bytes[15] = 1;
     }
     return real_bind(fd, (struct sockaddr *)&own, length);
 }

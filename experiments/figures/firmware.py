@@ -34,7 +34,7 @@ def draw_firmware(
         error = 1e3 * np.asarray(row["trace"]["error"])
         along.plot(np.arange(1, len(error) + 1) / rate, error, color=shade, linewidth=1.1, label=label)
     along.set(title="eights from rest to rest, by top speed", xlabel="time [s]", ylabel="position error [mm]")
-    along.set_ylim(bottom=0.0)
+    along.set(yscale="log", ylim=(0.5, 1000.0))
     for row in flights:
         error = 1e3 * np.asarray(row["trace"]["error"])
         shade = "C0" if row["outcome"] == "intercepted" else "C3"
