@@ -1,9 +1,10 @@
-/* Loaded before the C library into the software-in-the-loop firmware: a virtual CLOCK_MONOTONIC and its own loopback.
+/* Loaded before the C library into the software-in-the-loop firmware: a virtual CLOCK_MONOTONIC, and loopback only.
  *
- * The firmware's main thread is the only one that moves the clock: a look at it costs LOOK_NS, a sleep what is slept. It runs freely up to JAXPLAN_BOOT_S seconds, then stands until a radio packet and a state packet that carry the
- * same later time have both been dealt with, and runs up to that time. Whenever it stands, what it told the motors last
- * is sent, once: a packet after the boot, then one for each pair, whatever the machine does meanwhile. Other threads (they only receive) see the
- * clock without moving it. Without JAXPLAN_BOOT_S time is real, for the command line.
+ * The firmware's main thread is the only one that moves the clock: a look at it costs LOOK_NS, a sleep what is slept.
+ * It runs freely up to JAXPLAN_BOOT_S seconds, then stands until a radio packet and a state packet that carry the same
+ * later time have both been dealt with, and runs up to that time. Whenever it stands, what it told the motors last is
+ * sent, once: a packet after the boot, then one for each pair, whatever the machine does meanwhile. Other threads
+ * see the clock without moving it. Without JAXPLAN_BOOT_S time is real, for the command line.
  *
  * Two more things it sees to: sockets that would listen on all interfaces listen on 127.0.0.1, and the process dies
  * with the one that started it (JAXPLAN_PARENT).

@@ -45,10 +45,7 @@ class Running(NamedTuple):
 
     def condition(self) -> str:
         """Whether it runs, and the last line that it said: the end of an error message."""
-        code = self.process.poll()
-        said = (self.folder / LOG).read_text(errors="replace").splitlines()
-        last = next((line.strip() for line in reversed(said) if line.strip()), "nothing")
-        return f"the process {'runs' if code is None else f'ended with code {code}'}; it said last: {last}"
+        return _condition(self.process, self.folder)
 
 
 @functools.cache
@@ -112,13 +109,22 @@ def _received(channel: socket.socket, process: subprocess.Popen, folder: Path) -
     if said == READY:
         return Sockets(*(socket.socket(fileno=handle) for handle in handles))
     process.wait()
-    if said:
-        port, _, why = said.decode().partition(" ")
-        raise ResourceError(
-            f"firmware: port {port} of 127.0.0.1 cannot be used ({why}); end what uses it, perhaps another firmware: "
-            "its ports are fixed"
-        )
-    raise ResourceError(f"firmware: it could not be started; {Running(None, process, folder).condition()}")
+    if not said:
+        raise ResourceError(f"firmware: it could not be started; {_condition(process, folder)}")
+    port, _, why = said.decode().partition(" ")
+    if port == "0":
+        raise ResourceError(f"firmware: its own network has no loopback ({why}); this system does not let it be put up")
+    raise ResourceError(
+        f"firmware: port {port} of 127.0.0.1 cannot be used ({why}); end what uses it, perhaps another firmware: its "
+        "ports are fixed"
+    )
+
+
+def _condition(process: subprocess.Popen, folder: Path) -> str:
+    code = process.poll()
+    said = (folder / LOG).read_text(errors="replace").splitlines()
+    last = next((line.strip() for line in reversed(said) if line.strip()), "nothing")
+    return f"the process {'runs' if code is None else f'ended with code {code}'}; it said last: {last}"
 
 
 def _end(process: subprocess.Popen) -> None:

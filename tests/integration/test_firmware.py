@@ -64,6 +64,15 @@ def test_gentle_references_are_followed_and_two_runs_are_the_same(flyer: Firmwar
         np.testing.assert_array_equal(one, other)
 
 
+def test_with_two_motors_exchanged_it_is_lost(flyer: FirmwarePlant, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So what holds it in the other tests is the firmware."""
+    monkeypatch.setattr(flyer, "_motors", flyer._motors[[1, 0, 2, 3]])
+    references = jax.tree.map(lambda rows: rows[:401], firmware.references_of(0.0))
+    with flyer as flown:
+        _, log = flown.fly(flown.reset(first_of(references), jax.random.key(0)), references)
+    assert not np.asarray(log.position_error)[-1] < 1.0
+
+
 def test_how_a_flight_is_cut_into_calls_does_not_matter(flyer: FirmwarePlant) -> None:
     references = jax.tree.map(lambda rows: rows[:201], firmware.references_of(5.0))
     with flyer as flown:
