@@ -40,7 +40,7 @@ def draw_firmware(
         shade = "C0" if row["outcome"] == "intercepted" else "C3"
         intercepting.plot(np.arange(1, len(error) + 1) / rate, error, color=shade, linewidth=0.9, alpha=0.8)
     met = sum(row["outcome"] == "intercepted" for row in flights)
-    intercepting.axhline(LIMIT, color="0.5", linewidth=0.8, linestyle="--", label="beyond it the vehicle counts as lost")
+    intercepting.axhline(LIMIT, color="0.5", linewidth=0.8, linestyle="--", label="lost beyond")
     intercepting.set(yscale="log", ylim=(0.5, 1000.0), xlabel="time [s]")
     intercepting.set(title=f"interceptions, replanned: {met} of {len(flights)} met", ylabel="position error [mm]")
     if flights:

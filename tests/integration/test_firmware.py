@@ -1,7 +1,6 @@
 """The real firmware, built from source: what it flies, how it fails, and that it does so twice alike."""
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import jax
@@ -23,14 +22,12 @@ GENTLE = 0.03
 
 
 @pytest.fixture(scope="module")
-def flyer() -> Iterator[FirmwarePlant]:
+def flyer() -> FirmwarePlant:
     try:
         build.require_tools()
     except ResourceError as error:
         pytest.skip(str(error))
-    made = FirmwarePlant(load_vehicle())
-    yield made
-    made.__exit__()
+    return FirmwarePlant(load_vehicle())
 
 
 def first_of(references: FlatState) -> FlatState:
