@@ -30,7 +30,7 @@ from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, Plant, build_plant
 from jaxplan.vehicle.load import load_vehicle
 
 from . import closed_loop, table1
-from .betaflight.build import require_tools
+from .betaflight.build import require_buildable
 from .betaflight.plant import FirmwarePlant
 from .betaflight.process import has_own_network
 from .closed_loop import EpisodeConfig
@@ -79,9 +79,9 @@ def items(config: Config) -> list[Item]:
     """The references, then the episodes of each world.
 
     Raises:
-        ResourceError: there is no compiler.
+        ResourceError: the firmware is not built yet, and there is no compiler.
     """
-    require_tools()
+    require_buildable()
     found = [Item(f"reference {speed:g} m/s", REFERENCES, {"speed": speed}) for speed in config.speeds]
     names = {"worlds": config.worlds, "episodes": config.episodes, "planners": (config.planner,)}
     chosen = table1.chosen(table1.Config(**names, refine=config.refine))

@@ -47,17 +47,21 @@ def build() -> Firmware:
         ResourceError: a tool is missing, nothing may be cached, or a step fails.
         FileError: the archive is not the one that this was written for.
     """
-    folder = _folder()
-    program = folder / PROGRAM
-    clock = folder / f"clock-{hashlib.sha256(CLOCK_SOURCE.read_bytes()).hexdigest()[:16]}.so"
-    with one_at_a_time(folder):
-        if not program.is_file():
+    found = _files()
+    with one_at_a_time(found.program.parent):
+        if not found.program.is_file():
             require_tools()
-            _make(folder, program)
-        if not clock.is_file():
+            _make(found.program)
+        if not found.clock.is_file():
             require_tools()
-            compile_clock(clock)
-    return Firmware(program, clock)
+            compile_clock(found.clock)
+    return found
+
+
+def require_buildable() -> None:
+    """Raise ``ResourceError`` where the firmware is neither here nor can be made."""
+    if not all(path.is_file() for path in _files()):
+        require_tools()
 
 
 @contextlib.contextmanager
@@ -87,7 +91,8 @@ def compile_clock(path: Path) -> None:
         made.replace(path)
 
 
-def _folder() -> Path:
+def _files() -> Firmware:
+    """Where everything is, or will be."""
     roadmaps = cache_folder()
     if roadmaps is None:
         raise ResourceError(f"firmware: nothing may be cached here; set {FOLDER_VARIABLE} to a folder for the firmware")
@@ -96,11 +101,13 @@ def _folder() -> Path:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ResourceError(f"firmware: cannot make {folder} ({error.strerror}); set {FOLDER_VARIABLE}") from error
-    return folder
+    source = hashlib.sha256(CLOCK_SOURCE.read_bytes()).hexdigest()[:16]
+    return Firmware(folder / PROGRAM, folder / f"clock-{source}.so")
 
 
-def _make(folder: Path, program: Path) -> None:
+def _make(program: Path) -> None:
     """Download, check, unpack, make; the program appears in one step, or not at all."""
+    folder = program.parent
     with tempfile.TemporaryDirectory(dir=folder) as staged:
         archive = _archive(folder, Path(staged))
         with tarfile.open(archive) as packed:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from experiments import firmware
-from experiments.betaflight import build, plant, settings
+from experiments.betaflight import build, plant, process, settings
 from experiments.betaflight.plant import FirmwarePlant
 from jaxplan import cli
 from jaxplan.errors import InputError, ResourceError
@@ -24,7 +24,7 @@ GENTLE = 0.03
 @pytest.fixture(scope="module")
 def flyer() -> FirmwarePlant:
     try:
-        build.require_tools()
+        build.require_buildable()
     except ResourceError as error:
         pytest.skip(str(error))
     return FirmwarePlant(load_vehicle())
@@ -81,6 +81,18 @@ def test_how_a_flight_is_cut_into_calls_does_not_matter(flyer: FirmwarePlant) ->
             state, log = flown.fly(state, part)
             pieces.append(np.asarray(log.pos))
     np.testing.assert_array_equal(np.concatenate(pieces), whole.pos)
+
+
+def test_without_a_network_of_its_own_it_flies_the_same(flyer: FirmwarePlant, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not process.has_own_network():
+        pytest.skip("this system gives a process no network of its own")
+    references, flown = jax.tree.map(lambda rows: rows[:101], firmware.references_of(5.0)), []
+    for alone in (True, False):
+        monkeypatch.setattr(process, "has_own_network", lambda alone=alone: alone)
+        with flyer as either:
+            state = either.reset(first_of(references), jax.random.key(1))
+            flown.append(either.fly(state, references)[1].pos)
+    np.testing.assert_array_equal(*flown)
 
 
 def test_a_flight_does_not_go_back(flyer: FirmwarePlant) -> None:
