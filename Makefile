@@ -14,13 +14,14 @@ JAX_TESTS = $(wildcard tests/unit/test_minsnap_*.py tests/unit/test_spline*.py t
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-jax test-slow check format bench docs clean
+.PHONY: help demo test test-jax test-slow test-firmware check format bench docs clean
 
 help:
 	@echo "make demo       install, fly one interception, draw it (under 5 minutes)"
 	@echo "make test       the fast tests (PYTHON=python3.12 for another interpreter)"
 	@echo "make test-jax   those of them that touch JAX and MJX"
 	@echo "make test-slow  the slow tests"
+	@echo "make test-firmware  build Betaflight's simulator from the package index and fly it (docs/firmware.md)"
 	@echo "make check      ruff and mypy"
 	@echo "make format     let ruff rewrite what it can"
 	@echo "make bench      the benchmarks, into benchmarks/results/"
@@ -50,7 +51,12 @@ test-jax: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m "not slow and not gpu" $(PYTEST_ARGS) $(JAX_TESTS)
 
 test-slow: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m "slow and not gpu" $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m "slow and not gpu and not firmware" $(PYTEST_ARGS)
+
+# One process; what is built stays in the user's cache.
+test-firmware: $(VENV)/.installed-dev
+	JAXPLAN_CACHE_DIR=$${JAXPLAN_CACHE_DIR-$${XDG_CACHE_HOME:-$$HOME/.cache}/jaxplan} \
+	    $(BIN)/python -m pytest -m firmware tests/integration/test_firmware.py
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -17,4 +17,5 @@ NAMES = (
     "reference-times",
     "foreign-plants",
     "arena",
+    "firmware",
 )

@@ -130,7 +130,7 @@ def build_plant(vehicle: Vehicle, *, noise: bool = True, controller: ControllerN
             return physics_step(cast, body, state, commands, draw, disturbance, time), None
 
         state, _ = jax.lax.scan(substep, state, draw)
-        return replace(state, step=state.step + 1), _log(cast, state, target, saturated)
+        return replace(state, step=state.step + 1), log_row(cast, state, target, saturated)
 
     def fly(
         state: PlantState, references: FlatState, disturbance: Disturbance | None = None
@@ -144,8 +144,8 @@ def build_plant(vehicle: Vehicle, *, noise: bool = True, controller: ControllerN
     return Plant(reset=float32_island(reset), fly=float32_island(fly))
 
 
-def _log(vehicle: Vehicle, state: PlantState, target: FlatState, saturated: Bool[AnyArray, ""]) -> FlightLog:
-    """One row of the log; plain arithmetic, so that NaN stays NaN."""
+def log_row(vehicle: Vehicle, state: PlantState, target: FlatState, saturated: Bool[AnyArray, ""]) -> FlightLog:
+    """One row of the log, with the errors against ``target``; ``vehicle`` is cast already. NaN stays NaN."""
     rotation = rotation_from_quat(state.quat_wxyz)
     heading = jnp.arctan2(rotation[1, 0], rotation[0, 0])
     (ax, ay, _) = demand_of(vehicle, against_drag(vehicle, target)).axes

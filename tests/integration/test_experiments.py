@@ -36,6 +36,8 @@ TESTS = Path(__file__).resolve().parent.parent
 BASELINES = ("table1", "--planners", "pursuit", "navigation", "--worlds", "env1")
 
 
+FLOWN_ELSEWHERE = ("table1", "table2", "firmware")
+"""Their smoke presets are in tests of their own."""
 LONGEST = 1500
 """Seconds that an experiment may take; the longest needs some minutes of one quiet core."""
 
@@ -263,7 +265,7 @@ def test_a_scheduler_of_ones_own_and_its_loss(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in experiment_names() if name not in ("table1", "table2")])
+@pytest.mark.parametrize("name", [name for name in experiment_names() if name not in FLOWN_ELSEWHERE])
 def test_every_figure_is_drawn(name: str, tmp_path: Path) -> None:
     finished(started(name, "--preset", "smoke", "--out", tmp_path, "--workers", 0))
     written = json.loads((tmp_path / "provenance.json").read_text())["results"]
