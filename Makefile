@@ -39,7 +39,7 @@ $(VENV)/.installed-dev: pyproject.toml | $(BIN)/python
 	@touch $@ $(VENV)/.installed
 
 demo: $(VENV)/.installed
-	$(BIN)/jaxplan intercept --require-success --out $(OUT)
+	$(BIN)/jaxplan intercept --require-success --overwrite --out $(OUT)
 	@echo "The picture: $(OUT)/episode.png    The numbers: $(OUT)/metrics.json"
 
 test: $(VENV)/.installed-dev
