@@ -105,16 +105,15 @@ def progress_bar(kind: str) -> Iterator["Progress"]:
 def compiling(watch: "Watch", expected: Expected, elapsed: float) -> tuple[str, float]:
     """What to say after so many seconds, and the share that is done.
 
-    While one program takes long the share goes on with the time, up to where that program would be done; once a third
-    is done its pace says how long is left, whatever the last run took.
+    While one program takes long the share goes on with the time, up to where that program would be done; what is left
+    takes as long as expected, or longer where all of it has taken longer already.
     """
     ended, running = watch.ended(), watch.running()
     done = expected.share(ended)
     soon = expected.share({name: ended.get(name, 0) + (name in running) for name in expected.programs})
     by_time = elapsed / max(expected.seconds, 1e-9)
     share = min(max(done, min(by_time, soon if running else max(soon, 0.05))), 0.99)
-    whole = elapsed / share if done > 1.0 / 3.0 else max(expected.seconds, elapsed / max(share, 1e-9))
-    left = max(whole - elapsed, 1.0)
+    left = max((1.0 - share) * max(expected.seconds, elapsed), 1.0)
     words = dict.fromkeys(_WORDS[name] for name in running if name in _WORDS)
     what = f"compiling {', '.join(words)}" if words else "loading" if not ended else "compiling"
     return f"{what}, about {left:.0f} s left", share
