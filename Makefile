@@ -40,7 +40,7 @@ $(VENV)/.installed-dev: pyproject.toml | $(BIN)/python
 	@touch $@ $(VENV)/.installed
 
 demo: $(VENV)/.installed
-	$(BIN)/jaxplan intercept --require-success --out $(OUT)
+	$(BIN)/jaxplan intercept --require-success --overwrite --out $(OUT)
 	$(BIN)/jaxplan view $(OUT) --html $(OUT)/replay.html
 	@echo "Open it in a browser: $(OUT)/replay.html    The picture: $(OUT)/episode.png    The numbers: $(OUT)/metrics.json"
 

@@ -1,8 +1,18 @@
-"""Counting XLA compilations, so that "none after warm-up" can be measured instead of hoped for."""
+"""What XLA compiles in this process.
+
+How many programs, so that "none after warm-up" can be measured instead of hoped for; and which ones just now, so that a
+person who waits sees what for.
+"""
+
+import threading
+from collections import Counter
+from types import TracebackType
 
 import jax
 
 _EVENT = "/jax/core/compile/backend_compile_duration"
+_BEFORE = "/jax/core/compile/jaxpr_to_mlir_module_duration"
+"""Comes when a program is ready for XLA, just before it is compiled."""
 _counts = {"compilations": 0, "listening": 0}
 
 
@@ -17,3 +27,46 @@ def compilations() -> int:
 def _listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
     if event == _EVENT:
         _counts["compilations"] += 1
+
+
+class Watch:
+    """A context manager that knows which programs are being compiled, and which have been, by any thread."""
+
+    def __init__(self) -> None:
+        self._begun: Counter[str] = Counter()
+        self._ended: Counter[str] = Counter()
+        self._seconds: dict[str, float] = {}
+        self._lock = threading.Lock()
+
+    def __enter__(self) -> "Watch":
+        jax.monitoring.register_event_duration_secs_listener(self._hear)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        jax.monitoring.unregister_event_duration_listener(self._hear)
+
+    def running(self) -> list[str]:
+        """Names of the functions that are being compiled."""
+        with self._lock:
+            return sorted(self._begun - self._ended)
+
+    def ended(self) -> dict[str, int]:
+        """How many programs of each function have been compiled."""
+        with self._lock:
+            return dict(self._ended)
+
+    def seconds(self) -> dict[str, float]:
+        """How long XLA took for all programs of each function; more than the wall says where several run at once."""
+        with self._lock:
+            return dict(self._seconds)
+
+    def _hear(self, event: str, duration_secs: float, **kwargs: str | int) -> None:
+        name = str(kwargs.get("fun_name", "")).removeprefix("jit(").removesuffix(")")
+        with self._lock:
+            if event == _BEFORE:
+                self._begun[name] += 1
+            elif event == _EVENT:
+                self._ended[name] += 1
+                self._seconds[name] = self._seconds.get(name, 0.0) + duration_secs

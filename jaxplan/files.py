@@ -16,6 +16,8 @@ import numpy as np
 
 from jaxplan.errors import FileError, InputError, ResourceError
 
+FOLDER_VARIABLE = "JAXPLAN_CACHE_DIR"
+"""Environment variable that names the folder of what is kept to be faster next time; empty: nothing is kept."""
 LARGEST_ARCHIVE = 64 * 2**20
 """Bytes; arrays of ours that are larger are none of ours."""
 
@@ -27,6 +29,15 @@ class Writer(Protocol):
     def __call__(self, path: Path, /) -> object:
         """Write everything into the file ``path``, whose ending is that of the file wanted."""
         ...
+
+
+def cache_root() -> Path | None:
+    """Where what makes the next start faster is kept: JAXPLAN_CACHE_DIR, else ``jaxplan`` in the user's cache."""
+    named = os.environ.get(FOLDER_VARIABLE)
+    if named is not None:
+        return Path(named) if named else None
+    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    return Path(base) / "jaxplan" if os.path.isabs(base) else None
 
 
 def write_atomically(path: Path, content: str | bytes | Writer) -> None:

@@ -16,7 +16,7 @@ from jaxplan.feasibility.classifier import Classifier
 from jaxplan.io.log_columns import LogFormat
 from jaxplan.io.targets import Target, load_target
 from jaxplan.planner import Planner, PlannerConfig, RefinementConfig, build_planner
-from jaxplan.policy.checkpoint import load_policy
+from jaxplan.policy.checkpoint import load_policy, policy_vehicle
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.policy.protocol import Policy
 from jaxplan.prediction.predictors import PREDICTORS, build_predictor
@@ -171,8 +171,7 @@ def with_a_planner(config: InterceptConfig, vehicle: Vehicle) -> InterceptConfig
     """
     if config.planner is not None or config.policy is not None:
         return config
-    made_for = load_policy("mfrl").vehicle
-    if made_for is not None and made_for.fingerprint == identify(vehicle).fingerprint:
+    if policy_vehicle("mfrl").fingerprint == identify(vehicle).fingerprint:
         return dataclasses.replace(config, planner="mfrl")
     return dataclasses.replace(config, planner="no-policy", allocate=config.allocate or "profile")
 

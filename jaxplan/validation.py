@@ -1,6 +1,7 @@
 """The checks that configurations share: one line in ``__post_init__`` for each kind of number.
 
-Every message says whose value it is, what was found and what is wanted. NaN never passes.
+Every message says whose value it is, what was found and what is wanted. NaN never passes. NumPy is imported by those
+that look at arrays: the command line checks its options before anything slow is there.
 """
 
 import dataclasses
@@ -9,16 +10,16 @@ import numbers
 import os
 from typing import Any, TypeVar, no_type_check
 
-import numpy as np
-
 from jaxplan.errors import InputError
 
 T = TypeVar("T")
 
 
 @no_type_check
-def as_numbers(name: str, values: Any, dtype: type = np.float64) -> Any:
+def as_numbers(name: str, values: Any, dtype: type = float) -> Any:
     """The values as a NumPy array of this type. Raises ``InputError`` where they are no numbers, or complex ones."""
+    import numpy as np
+
     try:
         array = np.asarray(values)
         if array.dtype.kind in "fiub":
@@ -31,7 +32,7 @@ def as_numbers(name: str, values: Any, dtype: type = np.float64) -> Any:
 
 
 @no_type_check
-def as_shaped(name: str, values: Any, shape: tuple[int | None, ...], dtype: type = np.float64) -> Any:
+def as_shaped(name: str, values: Any, shape: tuple[int | None, ...], dtype: type = float) -> Any:
     """The values as a NumPy array of this type and shape, None for any length. Raises ``InputError`` otherwise."""
     array = as_numbers(name, values, dtype)
     wanted = ", ".join("K" if length is None else str(length) for length in shape)
@@ -44,6 +45,8 @@ def as_shaped(name: str, values: Any, shape: tuple[int | None, ...], dtype: type
 @no_type_check
 def as_finite(name: str, values: Any, shape: tuple[int | None, ...]) -> Any:
     """The same of float64, all of them finite."""
+    import numpy as np
+
     array = as_shaped(name, values, shape)
     if not np.isfinite(array).all():
         raise InputError(f"{name}: have {array[~np.isfinite(array)][0]}, want finite numbers")

@@ -6,7 +6,6 @@ were measured to hang or to compute wrong numbers (docs/decisions/0001-jax-versi
 
 import platform
 import re
-from importlib import metadata
 
 from jaxplan.errors import UnsupportedVersion
 
@@ -39,6 +38,8 @@ def installed_versions() -> dict[str, str | None]:
 
 
 def _version(package: str) -> str | None:
+    from importlib import metadata  # takes a tenth of a second to import
+
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:

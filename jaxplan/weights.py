@@ -18,6 +18,7 @@ import numpy as np
 
 from jaxplan.errors import FileError
 from jaxplan.files import LARGEST_ARCHIVE, cannot_write, read_arrays, read_limited, write_atomically
+from jaxplan.names import require_weights
 from jaxplan.validation import require_path
 
 FORMAT = 3
@@ -73,11 +74,9 @@ def resolve_weights(source: str | Path, folder: Path, kind: str) -> tuple[Path, 
     shipped = folder / f"{source}.npz"
     if os.path.isfile(shipped):
         return shipped, str(source)
+    require_weights(source, kind, folder)
     path = Path(source)
-    if os.path.isfile(path):
-        return path, path.stem
-    names = ", ".join(sorted(file.stem for file in folder.glob("*.npz"))) or "none"
-    raise FileError(f"{kind} {str(source)!r}: neither a file nor a shipped {kind} ({names}); correct the name")
+    return path, path.stem
 
 
 def flatten(tree: Any) -> Arrays:

@@ -35,7 +35,7 @@ class Source(NamedTuple):
         parts = self.path.relative_to(self.root).parts
         if parts[0] != "jaxplan":
             return parts[0]
-        return "jaxplan" if parts[1] == "__init__.py" else parts[1].removesuffix(".py")
+        return {"__init__.py": "jaxplan", "__main__.py": "cli"}.get(parts[1], parts[1].removesuffix(".py"))
 
     @property
     def module(self) -> str:

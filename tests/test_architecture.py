@@ -10,7 +10,7 @@ from sources import Import, code, offenders
 LAYERS = [
     {"arrays"},
     {"records", "status", "errors", "numerics", "polynomials", "precision", "batching", "compilation"}
-    | {"versions", "config", "weights", "mjcf_probe", "validation", "files"},
+    | {"versions", "config", "weights", "mjcf_probe", "validation", "files", "names", "programs"},
     {"spline"},
     {"minsnap", "vehicle", "world"},
     {"prediction", "search", "knots", "policy", "arrival", "selection", "tracking", "feasibility"} | {"optimizer"},
@@ -22,6 +22,11 @@ LAYERS = [
 """From the bottom up. ``jaxplan`` is the package's own __init__: the public names."""
 
 SIBLINGS = {
+    ("names", "errors"),
+    ("programs", "errors"),
+    ("programs", "files"),
+    ("programs", "versions"),
+    ("weights", "names"),
     ("config", "errors"),
     ("config", "validation"),
     ("versions", "errors"),
@@ -31,6 +36,7 @@ SIBLINGS = {
     ("mjcf_probe", "errors"),
     ("validation", "errors"),
     ("files", "errors"),
+    ("minsnap", "vehicle"),
     ("scenario", "io"),
     ("scenario", "replanner"),
     ("interception", "scenario"),

@@ -10,18 +10,18 @@ import signal
 import sys
 import traceback
 from collections.abc import Sequence
-from importlib import metadata
 from typing import NoReturn
 
 from cyclopts import App, CycloptsError
 
 from jaxplan.cli.bench import bench
+from jaxplan.cli.cache import cache
 from jaxplan.cli.experiment import experiment
 from jaxplan.cli.export import export
 from jaxplan.cli.intercept import from_saved, intercept
 from jaxplan.cli.parameters import DEFAULT_PARAMETER
 from jaxplan.cli.stream import stream
-from jaxplan.cli.train import train
+from jaxplan.cli.train import train, unknown_trainer
 from jaxplan.cli.vehicle import vehicle
 from jaxplan.cli.view import view
 from jaxplan.cli.world import world
@@ -33,18 +33,38 @@ EXIT_INTERRUPTED = 130
 EXIT_TERMINATED = 143
 EXIT_PIPE_CLOSED = 141
 
+WELCOME = """\
+Plan and fly interceptions of a moving target by a quadrotor, among obstacles.
+
+First:  jaxplan intercept                   fly one: numbers, trajectories and a picture in out/intercept
+Then:   jaxplan intercept --target env1-03 --speed 2.5 --predictor gmm
+        jaxplan intercept --world room.stl --target flight.csv
+        jaxplan vehicle racer5              what a vehicle can do; your own takes three lines
+        jaxplan experiment --list           the paper's tables and figures
+Sooner: jaxplan cache on                    keep what is compiled; later starts take seconds
+All:    jaxplan --help, jaxplan COMMAND --help"""
+
+
+def _version() -> str:
+    from importlib import metadata  # takes a tenth of a second to import
+
+    return metadata.version("jaxplan")
+
 
 app = App(
     name="jaxplan",
     help="Plan and fly interceptions of a moving target by a quadrotor, among obstacles.",
-    version=lambda: metadata.version("jaxplan"),
+    version=_version,
     default_parameter=DEFAULT_PARAMETER,
     suppress_keyboard_interrupt=False,
+    help_format="plaintext",
 )
 app.command(intercept, config=from_saved)
 for command in (export, view, stream, world, vehicle, bench, train):
     app.command(command)
+app.command(cache)
 app.command(experiment, help_flags=[], version_flags=[])
+app.register_install_completion_command(help="Complete commands and options in this shell (bash, zsh, fish).")
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
@@ -55,6 +75,12 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 def run(arguments: Sequence[str]) -> int:
     """Run the command line; every failure becomes one line on stderr and an exit code."""
     signal.signal(signal.SIGTERM, _terminate)
+    if not arguments:
+        print(WELCOME)
+        return 0
+    unknown = unknown_trainer(arguments[1:]) if arguments[0] == "train" else None
+    if unknown is not None:
+        return _report(unknown, EXIT_USAGE, arguments)
     try:
         code = app(list(arguments), exit_on_error=False, print_error=False, result_action="return_value")
         sys.stdout.flush()

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import cyclopts.config
 from cyclopts import App, Parameter
 
+from jaxplan.cli.cache import use_cache
 from jaxplan.cli.parameters import EVERY_TOKEN, SEVERAL
 from jaxplan.errors import IncompleteError, InputError
+from jaxplan.names import meant
 from jaxplan.versions import require_supported_jax
 
 if TYPE_CHECKING:
@@ -63,6 +65,9 @@ def experiment(*tokens: Annotated[str, EVERY_TOKEN]) -> int:
     name, rest = tokens[0], list(tokens[1:])
     if name.startswith("-"):
         raise InputError(f"experiment: have {name!r} first, want a name; see: jaxplan experiment --list")
+    if "--preset" in rest[:-1] and (preset := rest[rest.index("--preset") + 1]) not in PRESETS:
+        raise _no_preset(preset)  # before the experiment is imported
+    use_cache()
     found = load_experiment(name)
     options = _options_of(found, name, rest)
     if options is None:
@@ -111,7 +116,7 @@ def _base(found: "Experiment[Any]", name: str, options: RunOptions) -> tuple[str
     if options.preset is not None and options.config is not None:
         raise InputError("--preset and --config: have both, want one of them")
     if options.preset is not None and options.preset not in PRESETS:
-        raise InputError(f"--preset: have {options.preset!r}, want one of {', '.join(PRESETS)}")
+        raise _no_preset(options.preset)
     saved = options.config or _folder(name, options) / "config.json"
     if options.config is not None or (options.preset is None and options.resume and os.path.isfile(saved)):
         preset, values = read_config(saved, name)
@@ -119,6 +124,10 @@ def _base(found: "Experiment[Any]", name: str, options: RunOptions) -> tuple[str
         return preset, values
     preset = options.preset or "smoke"
     return preset, as_plain(found.presets[preset])
+
+
+def _no_preset(have: str) -> InputError:
+    return InputError(f"--preset: have {have!r}, want one of {', '.join(PRESETS)}{meant(have, PRESETS)}")
 
 
 def _folder(name: str, options: RunOptions) -> Path:

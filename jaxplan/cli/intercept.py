@@ -1,22 +1,24 @@
 """``jaxplan intercept``: one closed-loop episode, its files and its table."""
 
-import contextlib
 import dataclasses
 import json
+import os
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import cyclopts.config
 from cyclopts import App, ArgumentCollection, Parameter
 
+from jaxplan.cli.cache import use_cache
+from jaxplan.cli.progress import progress_bar
 from jaxplan.config import InterceptConfig
 from jaxplan.errors import FileError, InputError
+from jaxplan.names import require_target, require_vehicle, require_weights, require_world
 from jaxplan.versions import require_supported_jax
 
 if TYPE_CHECKING:
-    from jaxplan.interception import Episode, Progress
+    from jaxplan.interception import Episode
     from jaxplan.io.output import OutputFolder
 
 EXIT_NOT_INTERCEPTED = 13
@@ -26,6 +28,7 @@ def intercept(
     config: Annotated[InterceptConfig | None, Parameter(name="*")] = None,
     *,
     repeat: Annotated[Path | None, Parameter(name="--config")] = None,
+    overwrite: bool = False,
     require_success: bool = False,
     realtime: bool = False,
     debug: bool = False,
@@ -36,6 +39,8 @@ def intercept(
     ----------
     repeat
         A config.json that an earlier run wrote: its options, but for the folder, where none are given.
+    overwrite
+        Replace the run that a folder given by --out holds; out/intercept is replaced without.
     require_success
         Return exit code 13 unless the target was intercepted.
     realtime
@@ -44,15 +49,17 @@ def intercept(
         Show the traceback of an error.
     """
     config = config or InterceptConfig()
-    require_supported_jax()
-    from jaxplan import interception
+    get_ready(config, overwrite)
     from jaxplan.io.output import OutputFolder
-    from jaxplan.metrics import episode_metrics
 
     with OutputFolder(config.out) as folder:
-        with progress_bar() as progress:
+        with progress_bar("flight" if not realtime else "realtime") as progress:
+            from jaxplan import interception  # takes seconds
+
             fly = interception.run_in_real_time if realtime else interception.run
             episode = fly(config, progress=progress)
+        from jaxplan.metrics import episode_metrics
+
         metrics = episode_metrics(episode)
         write_results(folder, config, episode, metrics)
         folder.publish()
@@ -64,6 +71,34 @@ def intercept(
     print(summary(metrics))
     print(f"results in {config.out}: {', '.join(sorted(path.name for path in Path(config.out).iterdir()))}")
     return EXIT_NOT_INTERCEPTED if require_success and not episode.success else 0
+
+
+def get_ready(config: InterceptConfig, overwrite: bool) -> None:
+    """What comes before anything slow is imported: refuse what cannot work, and use the cache of compiled programs.
+
+    Raises:
+        InputError, FileError: a name is unknown, or the folder holds a run. ResourceError: JAX is a version that fails.
+    """
+    require_supported_jax()
+    _require_names(config)
+    _require_no_run(Path(config.out), overwrite)
+    use_cache()
+
+
+def _require_names(config: InterceptConfig) -> None:
+    """Raise what the loaders would raise for names that there are not, before anything slow is imported."""
+    require_world(config.world)
+    require_vehicle(config.vehicle)
+    require_target(config.target, config.world)
+    for kind, source in (("policy", config.policy), ("classifier", config.classifier)):
+        if source is not None:
+            require_weights(source, kind)
+
+
+def _require_no_run(out: Path, overwrite: bool) -> None:
+    """Raise ``InputError`` where a folder of one's own holds a run already."""
+    if not overwrite and str(out) != InterceptConfig.out and os.path.isfile(out / "metrics.json"):
+        raise InputError(f"--out: {str(out)!r} holds a run already; choose another folder or give --overwrite")
 
 
 def from_saved(app: App, commands: tuple[str, ...], arguments: ArgumentCollection) -> None:
@@ -140,19 +175,3 @@ def summary(metrics: dict[str, Any]) -> str:
 
 def _number(value: float | None, digits: int = 3) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
-
-
-@contextlib.contextmanager
-def progress_bar() -> Iterator["Progress"]:
-    """A bar on stderr, where that is a terminal."""
-    from tqdm import tqdm
-
-    layout = "{desc} {bar} {elapsed}"
-    with tqdm(desc="loading", total=1.0, file=sys.stderr, disable=None, leave=False, bar_format=layout) as bar:
-
-        def progress(text: str, share: float) -> None:
-            bar.set_description_str(text, refresh=False)
-            bar.n = min(share, 1.0)
-            bar.refresh()
-
-        yield progress

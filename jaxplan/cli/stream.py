@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 
 from cyclopts import App
 
+from jaxplan.cli.cache import use_cache
 from jaxplan.cli.parameters import DEFAULT_PARAMETER, with_options
 from jaxplan.config import InterceptConfig, Predictor
+from jaxplan.names import require_vehicle, require_world
 from jaxplan.versions import require_supported_jax
 
 if TYPE_CHECKING:
@@ -120,6 +122,9 @@ def live(
         Show the traceback of an error.
     """
     require_supported_jax()
+    require_world(config.world)
+    require_vehicle(config.vehicle)
+    use_cache()
     import numpy as np
 
     from jaxplan.errors import InputError

@@ -1,5 +1,7 @@
 """``jaxplan vehicle``: what a vehicle is, and whether its gains hold it."""
 
+from jaxplan.cli.cache import use_cache
+
 
 def vehicle(name: str | None = None, *, trial: bool = True, debug: bool = False) -> int:
     """Read a vehicle, say what it can do and what was assumed, and fly it a little.
@@ -15,13 +17,17 @@ def vehicle(name: str | None = None, *, trial: bool = True, debug: bool = False)
     """
     from pathlib import Path
 
-    from jaxplan.vehicle.load import load_vehicle
-    from jaxplan.vehicle.report import vehicle_lines, vehicle_warnings
-    from jaxplan.vehicle.toml import list_presets, read_vehicle
+    from jaxplan.names import list_presets, require_vehicle
 
     if name is None:
         print("\n".join(list_presets()))
         return 0
+    require_vehicle(name)
+    use_cache()
+    from jaxplan.vehicle.load import load_vehicle
+    from jaxplan.vehicle.report import vehicle_lines, vehicle_warnings
+    from jaxplan.vehicle.toml import read_vehicle
+
     found = load_vehicle(name)
     assumed = read_vehicle(Path(name)).assumed if Path(name).suffix.lower() == ".toml" else {}
     lines = vehicle_lines(found)

@@ -23,6 +23,7 @@ def view(
     *,
     config: Annotated[InterceptConfig | None, Parameter(name="*", group="Of the flight, with --live")] = None,
     live: bool = False,
+    overwrite: bool = False,
     port: int = 8080,
     html: Path | None = None,
     gif: Path | None = None,
@@ -37,6 +38,8 @@ def view(
         The folder of an interception, or a plans.npz.
     live
         Fly an interception now, with the options of jaxplan intercept, and look at it meanwhile.
+    overwrite
+        Replace the run that a folder given by --out holds, with --live.
     port
         Of the viewer on this machine.
     html
@@ -56,7 +59,7 @@ def view(
     if live and files:
         raise InputError(f"--live: writes no {'--' + next(iter(files))[1:]}; look at its --out afterwards")
     if source is None:
-        return _fly(config or InterceptConfig(), port)
+        return _fly(config or InterceptConfig(), port, overwrite)
     if config is not None:
         raise InputError("view: the options of an interception need --live; without it leave them out")
     _require_places(files)
@@ -108,25 +111,26 @@ def _serve(viewer: "Viewer") -> None:
         viewer.stop()
 
 
-def _fly(config: InterceptConfig, port: int) -> int:
+def _fly(config: InterceptConfig, port: int, overwrite: bool) -> int:
     """Fly before the viewer's eyes, no faster than the clock, and write the results as ``jaxplan intercept`` does."""
+    from jaxplan.cli.intercept import get_ready, summary, write_results
+    from jaxplan.cli.progress import progress_bar
+
+    get_ready(config, overwrite)
     from jaxplan import interception
-    from jaxplan.cli.intercept import progress_bar, summary, write_results
     from jaxplan.io.output import OutputFolder
     from jaxplan.metrics import episode_metrics
     from jaxplan.scenario import build_scenario
-    from jaxplan.versions import require_supported_jax
     from jaxplan.viz.replay import replay_before, replay_of
     from jaxplan.viz.viewer import Viewer
 
-    require_supported_jax()
     with OutputFolder(config.out) as folder:
         began = time.perf_counter()
         scenario = build_scenario(config)
         viewer = Viewer(replay_before(scenario), port)
         print(f"{viewer.url}: open it in a browser on this machine", flush=True)
         try:
-            with progress_bar() as progress:
+            with progress_bar("flight") as progress:
                 progress("compiling", 0.0)
                 interception.warm_up(scenario)
                 warmup_s = time.perf_counter() - began

@@ -18,16 +18,19 @@ def world(file: str, *, padding: float = 0.5, out: str = "world.png", debug: boo
     debug
         Show the traceback of an error.
     """
+    from jaxplan.errors import InputError
+    from jaxplan.names import require_world
+
+    if not os.path.isdir(Path(out).parent) or Path(out).suffix != ".png":
+        raise InputError(f"--out: have {out!r}, want a .png file in a folder that exists; correct it")
+    require_world(file)
     import numpy as np
 
-    from jaxplan.errors import InputError
     from jaxplan.io.targets import load_target, stored_targets
     from jaxplan.viz.world import draw_world_picture
     from jaxplan.world.load import load_world
     from jaxplan.world.report import lattice_reports, obstacle_counts
 
-    if not os.path.isdir(Path(out).parent) or Path(out).suffix != ".png":
-        raise InputError(f"--out: have {out!r}, want a .png file in a folder that exists; correct it")
     read = load_world(file)
     size = " x ".join(f"{side:.4g}" for side in read.bounds[1] - read.bounds[0])
     print(f"{read.provenance}\nextent    {size} m, from {read.bounds[0].tolist()} to {read.bounds[1].tolist()}")

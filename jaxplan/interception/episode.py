@@ -1,6 +1,7 @@
 """One closed-loop episode in simulated time, which stands still while a plan is made."""
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import numpy as np
@@ -32,8 +33,15 @@ def run(config: InterceptConfig, progress: Progress | None = None) -> Episode:
 
 
 def warm_up(scenario: Scenario) -> None:
-    """Compile everything that an episode calls."""
-    scenario.planner.warmup(scenario.start)
+    """Compile everything that an episode calls, the planner's part beside the rest."""
+    with ThreadPoolExecutor(1) as pool:
+        planning = pool.submit(scenario.planner.warmup, scenario.start)
+        _warm_up_flight(scenario)
+        planning.result()
+
+
+def _warm_up_flight(scenario: Scenario) -> None:
+    """Compile what predicts, flies and judges."""
     count = scenario.stream.observations
     still = Observations(
         times=scenario.stream.dt * np.arange(count), positions=np.tile(np.asarray(scenario.start.pos), (count, 1))

@@ -5,7 +5,6 @@ A stored trajectory is a list of waypoints and durations; its minimum-snap splin
 
 import dataclasses
 import json
-import os
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -17,6 +16,7 @@ from jaxplan.errors import InputError
 from jaxplan.io.log_columns import LogFormat
 from jaxplan.io.target_log import read_target_log, resample
 from jaxplan.minsnap.single import minimum_snap
+from jaxplan.names import require_target, stored_targets
 from jaxplan.spline import PiecewisePolynomial
 
 DEFAULT_SPEED = 1.0
@@ -67,12 +67,6 @@ class Target:
         return self.rate * self.motion(clipped, 1) * inside[..., None]
 
 
-def stored_targets(world: str) -> list[str]:
-    """Names of the trajectories stored for a world, in order; none for a world from a file."""
-    path = _STORED / f"{world}_targets.json"
-    return list(json.loads(path.read_text())["trajectories"]) if os.path.isfile(path) else []
-
-
 def load_target(
     name_or_path: str | None, *, world: str, speed: float | None = None, log: LogFormat | None = None
 ) -> Target:
@@ -90,17 +84,12 @@ def load_target(
     names = stored_targets(world)
     if speed is not None and not 0.0 < speed < float("inf"):
         raise InputError(f"target: the speed is {speed} m/s, want a positive number")
-    if name_or_path is None and not names:
-        raise InputError(f"target: world {world!r} has no stored trajectories; give --target a recorded flight")
+    require_target(name_or_path, world)
     if (name_or_path is None or name_or_path in names) and log not in (None, LogFormat()):
         raise InputError("--time-unit, --frame and --columns say how a recorded flight is read; give --target a file")
     if name_or_path is None or name_or_path in names:
         return _stored(world, name_or_path or names[0], DEFAULT_SPEED if speed is None else speed)
-    path = Path(name_or_path)
-    if not path.suffix and not os.path.exists(path):
-        known = f"want one of {', '.join(names)} or a file" if names else "want a file"
-        raise InputError(f"target: unknown name {name_or_path!r}, {known}")
-    return _recorded(path, speed, log)
+    return _recorded(Path(name_or_path), speed, log)
 
 
 def target_spline(waypoints: Float[np.ndarray, "n 3"], durations: Float[np.ndarray, "m"]) -> PiecewisePolynomial:

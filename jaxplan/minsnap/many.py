@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from jaxplan.arrays import AnyArray, is_numpy, namespace
 from jaxplan.batching import in_threads
 from jaxplan.errors import InputError
+from jaxplan.minsnap.layout import batch_last
 from jaxplan.minsnap.quadratic_program import Ends, cost, knot_derivatives, make_problem, segment_coefficients
 from jaxplan.minsnap.single import POSITION_ORDER, YAW_ORDER, Terminal, ends_of, interpolate, yaw_ends
 from jaxplan.minsnap.spline_batch import SplineBatch
@@ -54,6 +55,7 @@ def minimum_snap_batch(
     fixed_order: int = 4,
     yaw: Annotated[ArrayLike, "n b, or without b"] | None = None,
     initial_yaw: Annotated[ArrayLike, "2 b, or without b"] | None = None,
+    batch_axis: int = -1,
 ) -> MinimumSnapBatch:
     """``minimum_snap`` for b problems at once: the batch is the **last** axis, for speed.
 
@@ -69,11 +71,17 @@ def minimum_snap_batch(
     Args:
         initial, terminal, fixed_order, yaw, initial_yaw: as in ``minimum_snap``; one for all problems, or with the
             batch as last axis.
+        batch_axis: 0 where the batch is the first axis of every array that is given, waypoints of (b, n, 3) and
+            durations of (b, m); they are transposed, and ``splines`` has it last all the same.
 
     Raises:
         InputError: shapes that do not fit, or an unknown ``terminal`` or ``fixed_order``.
     """
     ends = ends_of("minimum_snap_batch", terminal, fixed_order)
+    given = (waypoints, 3), (durations, 2), (initial, 3), (yaw, 2), (initial_yaw, 2)
+    waypoints, durations, initial, yaw, initial_yaw = batch_last("minimum_snap_batch", batch_axis, *given)
+    if ends.goal_moves:
+        (terminal,) = batch_last("minimum_snap_batch", batch_axis, (terminal, 3))
     waypoints, durations = _numbers("waypoints", waypoints), _numbers("durations", durations)
     segments, width = _shape(waypoints, durations)
     arrays = (

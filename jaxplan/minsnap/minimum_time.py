@@ -4,6 +4,8 @@ The limits are tested at sampled instants. At every trial the trajectory is solv
 derivatives, scaling one trajectory would change them.
 """
 
+import dataclasses
+import functools
 from typing import Protocol, runtime_checkable
 
 import jax
@@ -15,6 +17,9 @@ from jaxplan.arrays import AnyArray
 from jaxplan.minsnap.single import YAW_ORDER, interpolate
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.spline import FlatState
+from jaxplan.vehicle.gains import IndiGains, Se3Gains
+from jaxplan.vehicle.limits import rotor_limit_margin
+from jaxplan.vehicle.params import Vehicle
 
 
 @runtime_checkable
@@ -42,6 +47,26 @@ class Reshare(Protocol):
     def __call__(self, durations: Float[Array, "m b"], total: Float[Array, "b"], /) -> Float[Array, "m b"]:
         """The best durations [s] found from the given ones that add up to ``total`` [s]."""
         ...
+
+
+def margin_of_vehicle(vehicle: Vehicle) -> Margin:
+    """``rotor_limit_margin`` of a vehicle, by its numbers alone: neither its name nor its gains count."""
+    numbers = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), vehicle)
+    return functools.partial(
+        rotor_limit_margin, dataclasses.replace(numbers, name="", indi=IndiGains(), se3=Se3Gains())
+    )
+
+
+def with_traced_numbers(margin: Margin) -> jax.tree_util.Partial:
+    """The margin as a tree, whose leaves are the numbers that a ``functools.partial`` has bound, if it is one.
+
+    As an argument of a compiled function it compiles that once for all such numbers, instead of once for each partial.
+    """
+    if isinstance(margin, functools.partial):
+        bound = jax.tree.leaves((margin.args, margin.keywords))
+        if all(isinstance(leaf, jax.Array | np.ndarray | np.generic | float | int) for leaf in bound):
+            return jax.tree_util.Partial(margin.func, *margin.args, **margin.keywords)
+    return jax.tree_util.Partial(margin)
 
 
 def least_margin(

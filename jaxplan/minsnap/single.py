@@ -1,11 +1,13 @@
 """``minimum_snap``: one trajectory, position of degree 9 in C4, yaw of degree 5 in C2 (paper eq. 3 and 4)."""
 
 import functools
+from collections.abc import Callable
 from typing import Annotated, Literal
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, DTypeLike, Float
 from numpy.typing import ArrayLike
 
 from jaxplan.errors import InputError
@@ -18,7 +20,7 @@ from jaxplan.minsnap.quadratic_program import (
     segment_coefficients,
 )
 from jaxplan.minsnap.status import RESIDUAL_LIMIT
-from jaxplan.precision import in_float64
+from jaxplan.precision import float64_island, in_float64
 from jaxplan.spline import PiecewisePolynomial
 from jaxplan.validation import as_numbers
 
@@ -53,7 +55,6 @@ def interpolate(
     return segment_coefficients(problem, points[:-1], knots), knots
 
 
-@in_float64
 def minimum_snap(
     waypoints: Annotated[ArrayLike, "n 3"],
     durations: Annotated[ArrayLike, "m"],
@@ -76,12 +77,31 @@ def minimum_snap(
             with ``terminal="free"``.
 
     Returns:
-        A spline of NumPy float64 arrays, whatever the process's JAX flags.
+        A spline of NumPy float64 arrays, whatever the process's JAX flags. Inside ``jit``, ``vmap`` and ``grad`` a
+        traced one in the precision of the arguments, solved in float64; there a problem whose values cannot be solved
+        has NaN coefficients instead of an error. ``minimum_snap_batch`` is faster than ``vmap`` and says what is wrong.
 
     Raises:
         InputError: fewer than two waypoints, a wrong shape, a value that is not finite, a duration that is
             not positive, waypoints that all coincide, or a problem that double precision cannot solve.
     """
+    given = (waypoints, durations, initial, terminal, yaw, initial_yaw)
+    if any(isinstance(value, jax.core.Tracer) for value in given):
+        return _traced(waypoints, durations, initial, terminal, fixed_order, yaw, initial_yaw)
+    return _on_host(waypoints, durations, initial, terminal, fixed_order, yaw, initial_yaw)
+
+
+@in_float64
+def _on_host(
+    waypoints: ArrayLike,
+    durations: ArrayLike,
+    initial: ArrayLike | None,
+    terminal: Terminal | ArrayLike,
+    fixed_order: int,
+    yaw: ArrayLike | None,
+    initial_yaw: ArrayLike | None,
+) -> PiecewisePolynomial:
+    """``minimum_snap`` of what is known, checked."""
     points, times = _checked(waypoints, durations)
     start, goal, ends = checked_ends("minimum_snap", initial, terminal, fixed_order)
     position, residual = _solve(times[:, None], points[..., None], start[..., None], goal[..., None], ends)
@@ -97,6 +117,67 @@ def minimum_snap(
         turning = _solve(times[:, None], angles[:, None, None], rates[:, None, None], None, yaw_ends(ends))
         heading = np.asarray(turning[0][:, :, 0, 0])
     return PiecewisePolynomial(durations=times, position=np.asarray(position[..., 0]), yaw=heading)
+
+
+def _traced(
+    waypoints: ArrayLike,
+    durations: ArrayLike,
+    initial: ArrayLike | None,
+    terminal: Terminal | ArrayLike,
+    fixed_order: int,
+    yaw: ArrayLike | None,
+    initial_yaw: ArrayLike | None,
+) -> PiecewisePolynomial:
+    """``minimum_snap`` of what is not known before the program runs: shapes are checked, values become NaN."""
+    ends, points = ends_of("minimum_snap", terminal, fixed_order), _floats(waypoints)
+    _require_points(points.shape)
+    times = _of_shape("durations", _floats(durations), (len(points) - 1,))
+    start, goal = (
+        _traced_end(what, None if isinstance(value, str) else value, fixed_order, points.dtype)
+        for what, value in (("initial", initial), ("terminal", terminal))
+    )
+    solved = _island(ends)(times[:, None], points[..., None], start[..., None], goal[..., None])
+    good = jnp.all(times > 0.0) & (solved[1][0] <= RESIDUAL_LIMIT) & jnp.all(jnp.isfinite(solved[0]))
+    heading = None
+    if yaw is not None or initial_yaw is not None:
+        angles = jnp.zeros_like(points[:, 0]) if yaw is None else _of_shape("yaw", _floats(yaw), points.shape[:1])
+        rates = jnp.zeros(YAW_ORDER, points.dtype) if initial_yaw is None else _floats(initial_yaw)
+        rates = _of_shape("initial_yaw", rates, (YAW_ORDER,))
+        turning, _ = _island(yaw_ends(ends))(times[:, None], angles[:, None, None], rates[:, None, None], None)
+        heading = jnp.where(good, turning[:, :, 0, 0], jnp.nan)
+    return PiecewisePolynomial(durations=times, position=jnp.where(good, solved[0][..., 0], jnp.nan), yaw=heading)
+
+
+@functools.cache
+def _island(ends: Ends) -> Callable[[Array, Array, Array, Array | None], tuple[Array, Array]]:
+    """``_solve`` for the ends inside another program, in float64; the residual has no gradient."""
+
+    def solve(durations: Array, points: Array, initial: Array, terminal: Array | None) -> tuple[Array, Array]:
+        coefficients, residual = _solve(durations, points, initial, terminal, ends)
+        return coefficients, jax.lax.stop_gradient(residual)
+
+    return float64_island(solve)
+
+
+def _floats(value: ArrayLike) -> Array:
+    array = jnp.asarray(value)
+    return array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(jnp.result_type(float))
+
+
+def _of_shape(name: str, array: Array, shape: tuple[int, ...]) -> Array:
+    if array.shape != shape:
+        raise InputError(f"minimum_snap: {name} has shape {array.shape}, want {shape}")
+    return array
+
+
+def _traced_end(what: str, given: ArrayLike | None, fixed_order: int, dtype: DTypeLike) -> Float[Array, "4 3"]:
+    """``_end_values`` of what is not known."""
+    values = jnp.zeros((POSITION_ORDER, 3), dtype)
+    if given is None:
+        return values
+    array = _floats(given)
+    _require_rows("minimum_snap", what, array.shape, fixed_order)
+    return values.at[:fixed_order].set(array[:fixed_order].astype(dtype))
 
 
 @functools.partial(jax.jit, static_argnames="ends")
@@ -150,19 +231,27 @@ def _end_values(name: str, what: str, given: ArrayLike | None, fixed_order: int)
     if given is None:
         return values
     array = as_numbers(f"{name}: {what}", given)
-    if array.shape not in ((fixed_order, 3), (POSITION_ORDER, 3)):
-        raise InputError(f"{name}: {what} has shape {array.shape}, want ({fixed_order}, 3), one row per derivative")
+    _require_rows(name, what, array.shape, fixed_order)
     if not np.isfinite(array[:fixed_order]).all():
         raise InputError(f"{name}: {what} holds a value that is not finite")
     values[:fixed_order] = array[:fixed_order]
     return values
 
 
+def _require_rows(name: str, what: str, shape: tuple[int, ...], fixed_order: int) -> None:
+    if shape not in ((fixed_order, 3), (POSITION_ORDER, 3)):
+        raise InputError(f"{name}: {what} has shape {shape}, want ({fixed_order}, 3), one row per derivative")
+
+
+def _require_points(shape: tuple[int, ...]) -> None:
+    if len(shape) != 2 or shape[1] != 3 or shape[0] < 2:
+        raise InputError(f"minimum_snap: waypoints have shape {shape}, want (m+1, 3) with at least 2 rows")
+
+
 def _checked(waypoints: ArrayLike, durations: ArrayLike) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "m"]]:
     """Waypoints [m] and durations [s] that make a problem."""
     points = as_numbers("minimum_snap: waypoints", waypoints)
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
-        raise InputError(f"minimum_snap: waypoints have shape {points.shape}, want (m+1, 3) with at least 2 rows")
+    _require_points(points.shape)
     points = _array("waypoints", points, points.shape)
     times = _array("durations", durations, (len(points) - 1,))
     if not (times > 0.0).all():

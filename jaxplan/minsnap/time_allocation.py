@@ -23,13 +23,21 @@ from numpy.typing import ArrayLike
 from jaxplan.arrays import AnyArray
 from jaxplan.errors import InputError
 from jaxplan.minsnap.bfgs import Minimum, Objective, minimise
-from jaxplan.minsnap.minimum_time import Margin, least_margin, shortest_alternated
+from jaxplan.minsnap.layout import batch_last
+from jaxplan.minsnap.minimum_time import (
+    Margin,
+    least_margin,
+    margin_of_vehicle,
+    shortest_alternated,
+    with_traced_numbers,
+)
 from jaxplan.minsnap.quadratic_program import REST, Ends, gradient, knot_derivatives, make_problem
 from jaxplan.minsnap.single import YAW_ORDER
 from jaxplan.minsnap.status import UNSOLVED, SolveStatus, finite_problems, has_any, problem_status
-from jaxplan.records import record
+from jaxplan.records import record, replace
 from jaxplan.status import bit
 from jaxplan.validation import as_numbers, require_at_least, require_positive
+from jaxplan.vehicle.params import Vehicle
 
 Kind = Literal["weighted", "fixed", "fastest"]
 """Which of the problems (a), (b), (c)."""
@@ -61,10 +69,10 @@ class TimeAllocationConfig:
 
 @record
 class TimeAllocation:
-    """Optimised durations; the batch is the last axis."""
+    """Optimised durations; the batch is the last axis, but where ``time_allocation`` was asked for the first."""
 
-    durations: Float[AnyArray, "m b"]
-    """Seconds per segment; 0 on padding and where there is no solution."""
+    durations: Float[AnyArray, "_ _"]
+    """Seconds per segment, (m, b) or (b, m); 0 on padding and where there is no solution."""
     cost: Float[AnyArray, "b"]
     """The minimised quantity: rho * T + sigma, sigma, or T [s]; infinite where there is no solution."""
     evaluations: Int[AnyArray, "b"]
@@ -79,30 +87,38 @@ def time_allocation(
     time_weight: float | Annotated[ArrayLike, "b"] | None = None,
     total_time: float | Annotated[ArrayLike, "b"] | None = None,
     margin: Margin | None = None,
+    vehicle: Vehicle | None = None,
     segments: Annotated[ArrayLike, "b"] | None = None,
     initial: Annotated[ArrayLike, "4 3 b or 4 3"] | None = None,
     yaw: Annotated[ArrayLike, "n b"] | None = None,
     config: TimeAllocationConfig | None = None,
+    batch_axis: int = -1,
 ) -> TimeAllocation:
     """Optimal durations for b sequences of n = m + 1 waypoints at once, from ``initial`` derivatives to rest (host).
 
     Exactly one of the three problems is chosen by its parameter. Computed in float64, whatever the process's JAX
-    flags; NumPy arrays come back. Compiled once per shape, and for (c) once per ``margin``.
+    flags; NumPy arrays come back. Compiled once per shape, and for (c) once per function ``margin``: the numbers that a
+    ``functools.partial`` has bound are traced, so other vehicles compile nothing anew.
 
     Args:
         time_weight: (a) rho [m^2/s^8] of rho * T + sigma.
         total_time: (b) the time to distribute [s].
-        margin: (c) ``functools.partial(rotor_limit_margin, vehicle)``, or any other limit on flat states.
+        vehicle: (c) whose rotors stay within their limits.
+        margin: (c) any other limit on flat states, or ``functools.partial(rotor_limit_margin, vehicle)``.
         segments: how many segments of each sequence are real; all when omitted.
         initial: velocity to snap at the start; at rest when omitted.
         yaw: heading at the waypoints [rad, unwrapped]; ignored when omitted.
+        batch_axis: 0 where the batch is the first axis of every array, given and returned: waypoints of (b, n, 3).
 
     Raises:
-        InputError: none or several of the three parameters, one that is not positive, or a wrong shape.
+        InputError: none or several of the four parameters, one that is not positive, or a wrong shape.
     """
+    if sum(value is not None for value in (time_weight, total_time, margin, vehicle)) != 1:
+        raise InputError("time_allocation: give exactly one of time_weight, total_time, margin and vehicle")
+    margin = margin if vehicle is None else margin_of_vehicle(vehicle)
     chosen = [value is not None for value in (time_weight, total_time, margin)]
-    if sum(chosen) != 1:
-        raise InputError("time_allocation: give exactly one of time_weight, total_time and margin")
+    waypoints, yaw = batch_last("time_allocation", batch_axis, (waypoints, 3), (yaw, 2))
+    (initial,) = batch_last("time_allocation", batch_axis, (initial, 3))
     points, counts, start, angles = _checked(waypoints, segments, initial, yaw)
     number = time_weight if total_time is None else total_time
     given = as_numbers("time_allocation: weight or total time", 1.0 if number is None else number)
@@ -112,9 +128,11 @@ def time_allocation(
     if not (amount > 0.0).all():
         raise InputError(f"time_allocation: the time or its weight is {amount.min()}, want it positive")
     kind = KINDS[chosen.index(True)]
+    limit = None if margin is None else with_traced_numbers(margin)
     with jax.enable_x64(True):
-        found = _compiled(kind, margin, config or TimeAllocationConfig(), points, counts, amount, start, angles)
-        return jax.tree.map(np.asarray, found)
+        found = _compiled(kind, limit, config or TimeAllocationConfig(), points, counts, amount, start, angles)
+        found = jax.tree.map(np.asarray, found)
+    return found if batch_axis == -1 else replace(found, durations=found.durations.T)
 
 
 def optimise_durations(
@@ -170,7 +188,7 @@ def optimise_durations(
     )
 
 
-_compiled = jax.jit(optimise_durations, static_argnums=(0, 1, 2))
+_compiled = jax.jit(optimise_durations, static_argnums=(0, 2))
 
 
 @runtime_checkable

@@ -178,13 +178,20 @@ def _each(function: Callable[[Array], Any], rows: Float[Array, "n ... k"]) -> An
 
 
 def _with_jacobian(function: Callable[[Array], Array]) -> Callable[[Array], tuple[Array, Array]]:
-    return lambda row: (function(row), jax.jacfwd(function)(row))
+    """``function`` and its derivatives by each of its numbers, traced once for both."""
+
+    def both(row: Array) -> tuple[Array, Array]:
+        directions = jnp.eye(row.size, dtype=row.dtype).reshape(row.size, *row.shape)
+        value, slopes = _pushed(function, row, directions)
+        return value, jnp.moveaxis(slopes, 0, -1).reshape(*value.shape, *row.shape)
+
+    return both
 
 
-def _pushed(function: Callable[[Array], Any], x: Float[Array, "v k"], directions: Float[Array, "d v k"]) -> Any:
+def _pushed(function: Callable[[Array], Any], x: Float[Array, "*n"], directions: Float[Array, "d *n"]) -> Any:
     """``function`` and its derivatives along each of d directions."""
 
-    def push(direction: Float[Array, "v k"]) -> Any:
+    def push(direction: Float[Array, "*n"]) -> Any:
         return jax.jvp(function, (x,), (direction,))
 
     return jax.vmap(push, out_axes=(None, 0))(directions)

@@ -4,8 +4,10 @@ Only what can win is matched, solved and checked: a candidate's score does not d
 are taken in order of score, some at a time, until one passes. The winner is that of an exhaustive evaluation.
 """
 
-import functools
+import inspect
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import jax
 import numpy as np
@@ -16,8 +18,20 @@ from jaxplan.planner.border import usual_candidates, usual_spline, usual_state
 from jaxplan.planner.brake import brake, impact
 from jaxplan.planner.descent import compile_descent
 from jaxplan.planner.parts import Parts
-from jaxplan.planner.records import Planner, PlannerConfig, Plans
-from jaxplan.planner.refined import Seed
+from jaxplan.planner.records import (
+    Approach,
+    Brake,
+    Impact,
+    InWorld,
+    PlanBatch,
+    Planner,
+    PlannerConfig,
+    Plans,
+    Update,
+    Validate,
+    Warmup,
+)
+from jaxplan.planner.refined import Refine, Seed
 from jaxplan.planner.refinement import refine
 from jaxplan.planner.stations import compile_stations
 from jaxplan.planner.table import Rows, Table, bound, check, enter, knots, match, outrank, reject, search, table_of
@@ -81,17 +95,32 @@ def build_planner(
 def _planner(parts: Parts) -> Planner:
     """The functions of a planner with these parts."""
     return Planner(
-        plan_batch=functools.partial(in_float64(plan_batch), parts),
-        approach=functools.partial(in_float64(approach), parts),
-        refine=functools.partial(in_float64(refine), parts),
-        validate=functools.partial(_validate, parts),
-        impact=functools.partial(impact, parts),
-        brake=functools.partial(in_float64(brake), parts),
-        warmup=functools.partial(in_float64(_warmup), parts),
-        in_world=functools.partial(_in_world, parts),
-        update=functools.partial(_updated, parts),
+        plan_batch=_bound(PlanBatch, in_float64(plan_batch), parts),
+        approach=_bound(Approach, in_float64(approach), parts),
+        refine=_bound(Refine, in_float64(refine), parts),
+        validate=_bound(Validate, _validate, parts),
+        impact=_bound(Impact, impact, parts),
+        brake=_bound(Brake, in_float64(brake), parts),
+        warmup=_bound(Warmup, in_float64(_warmup), parts),
+        in_world=_bound(InWorld, _in_world, parts),
+        update=_bound(Update, _updated, parts),
         config=parts.config,
     )
+
+
+def _bound(kind: Any, function: Callable, parts: Parts) -> Any:
+    """A function of a planner with its parts, with the arguments and the documentation of its Protocol ``kind``."""
+    call = kind.__call__
+
+    def bound(*args: Any, **kwargs: Any) -> Any:
+        return function(parts, *args, **kwargs)
+
+    signature = inspect.signature(call)
+    bound.__signature__ = signature.replace(parameters=list(signature.parameters.values())[1:])  # type: ignore[attr-defined]
+    bound.__doc__ = f"{kind.__doc__}\n\n{inspect.getdoc(call)}"
+    bound.__name__ = function.__name__.strip("_")
+    bound.__qualname__ = f"Planner.{bound.__name__}"
+    return bound
 
 
 def _in_world(parts: Parts, world: World) -> Planner:
@@ -183,7 +212,8 @@ def _warmup(parts: Parts, state: FlatState) -> None:
     candidates = _candidates_around(state, parts.config.width)
     with ThreadPoolExecutor(1) as pool:
         aside = pool.submit(in_float64(_refine_once), parts, state, candidates)
-        compile_all(parts.stations, parts.world, parts.config, state)
+        asked = [allocation.match for allocation in parts.allocations(hover(state.pos))]
+        compile_all(parts.stations, asked, parts.world, parts.config, state)
         aside.result()
     plan_batch(parts, state, candidates)
     approach(parts, state, candidates)

@@ -1,4 +1,8 @@
-"""The compiled station of a refinement: a few steps of descent from given plans."""
+"""The compiled station of a refinement: a few steps of descent from given plans.
+
+It is two programs, the descent and the trajectories of where it ends: each piece of code is compiled once for every
+place where it stands, so one program of both takes longer to compile than the two.
+"""
 
 import functools
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -9,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplan.minsnap.spline_batch import SplineBatch
-from jaxplan.optimizer.interior_point import DescentConfig, descend
+from jaxplan.optimizer.interior_point import Descent, DescentConfig, descend
 from jaxplan.optimizer.margins import linearise, values
 from jaxplan.optimizer.problem import Limits, TargetTable, Task, splines, unflatten
 from jaxplan.planner.refined import RefinementConfig
@@ -55,28 +59,47 @@ def compile_descent(config: RefinementConfig, vehicle: Vehicle) -> Descend:
     """Bind the vehicle and how it may turn, and compile."""
     own = vehicle.astype(jnp.float64)
 
+    def task_of(world: World, state: FlatState, target: TargetTable, limits: Limits) -> Task:
+        return Task(
+            start=state,
+            target=target,
+            world=world,
+            vehicle=own,
+            limits=limits,
+            max_tilt=jnp.asarray(np.radians(MAX_TILT)),
+            max_pitch=jnp.asarray(np.radians(config.max_pitch)),
+            max_body_rate=jnp.minimum(config.max_body_rate, config.max_lag / own.motor_time_constant),
+            body_samples=BODY_SAMPLES,
+            place_samples=PLACE_SAMPLES,
+        )
+
     @jax.jit
-    def descended(
+    def optimised(
         world: World,
         state: FlatState,
         target: TargetTable,
         limits: Limits,
         variables: Float[Array, "k v"],
         descent: DescentConfig,
+    ) -> Descent:
+        task = task_of(world, state, target, limits)
+        return descend(functools.partial(values, task), functools.partial(linearise, task), variables, descent)
+
+    @jax.jit
+    def flown(
+        world: World, state: FlatState, target: TargetTable, limits: Limits, variables: Float[Array, "k v"]
+    ) -> SplineBatch:
+        return splines(task_of(world, state, target, limits), unflatten(variables.T))
+
+    def descended(
+        world: World,
+        state: FlatState,
+        target: TargetTable,
+        limits: Limits,
+        variables: Float[np.ndarray, "k v"],
+        descent: DescentConfig,
     ) -> Descended:
-        task = Task(
-            start=state,
-            target=target,
-            world=world,
-            vehicle=own,
-            limits=limits,
-            max_tilt=jnp.asarray(np.radians(MAX_TILT), variables.dtype),
-            max_pitch=jnp.asarray(np.radians(config.max_pitch), variables.dtype),
-            max_body_rate=jnp.minimum(config.max_body_rate, config.max_lag / own.motor_time_constant),
-            body_samples=BODY_SAMPLES,
-            place_samples=PLACE_SAMPLES,
-        )
-        found = descend(functools.partial(values, task), functools.partial(linearise, task), variables, descent)
-        return Descended(found.objective, found.least, splines(task, unflatten(found.x.T)))
+        found = optimised(world, state, target, limits, variables, descent)
+        return Descended(found.objective, found.least, flown(world, state, target, limits, found.x))
 
     return descended

@@ -300,3 +300,16 @@ class Planner(NamedTuple):
     in_world: InWorld
     update: Update
     config: PlannerConfig
+
+    def __repr__(self) -> str:
+        """What it is for, what it can do, and the settings that are not the usual ones."""
+        own = (field.name for field in dataclasses.fields(self.config))
+        changed = (name for name in own if getattr(self.config, name) != getattr(PlannerConfig, name))
+        settings = ", ".join(f"{name}={getattr(self.config, name)!r}" for name in changed)
+        return (
+            f"Planner with PlannerConfig({settings})\n"
+            "  plan_batch(state, candidates): trajectories timed to meet each candidate; select(plans) is the best\n"
+            "  refine(state, candidates, seed): one sooner; approach(state, candidates), brake(state): if none is\n"
+            "  validate(spline), impact(spline, since): the last look at a plan\n"
+            "  warmup(state): compile; in_world(world), update(change): the same planner elsewhere, after a change"
+        )

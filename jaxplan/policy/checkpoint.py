@@ -80,6 +80,16 @@ def load_parameters(source: str | Path) -> TrainedPolicy:
     return TrainedPolicy(config, jax.tree.map(jnp.asarray, parameters), vehicle)
 
 
+def policy_vehicle(source: str | Path) -> VehicleId:
+    """For which vehicle a policy was trained, from its header alone; ``FileError`` as ``load_policy``."""
+    path, _ = resolve_policy(source)
+    header, _ = read_weights(path, KIND)
+    try:
+        return from_header(header)
+    except (KeyError, TypeError, ValueError) as error:
+        raise FileError(f"{path}: its header is not a policy's ({error}); use a file of jaxplan") from error
+
+
 def policy_card(source: str | Path) -> dict[str, Any]:
     """How a policy was made and how it scored."""
     return read_weights(resolve_policy(source)[0], KIND)[0]["card"]

@@ -8,6 +8,7 @@ from types import ModuleType
 from typing import Any
 
 from jaxplan.errors import InputError, ResourceError
+from jaxplan.names import meant
 from jaxplan.runner.definition import Experiment
 
 _PACKAGE = Path(__file__).parent.parent
@@ -46,5 +47,6 @@ def load_experiment(name: str) -> Experiment[Any]:
     if name not in names:
         raise InputError(
             f"experiment: unknown name {name!r}, want one of {', '.join(names)}, or your own package.module"
+            f"{meant(name, names)}"
         )
     return bundled("experiments", name.replace("-", "_")).EXPERIMENT

@@ -13,15 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxplan.files import write_atomically
+from jaxplan.files import cache_root, write_atomically
 from jaxplan.search.kernels.compiled import source_digest
 from jaxplan.search.kernels.roads import Roads
 from jaxplan.search.kernels.sight import Field
 from jaxplan.search.roadmap import Level, Roadmap, build_roadmap, corners_of, field_of
 from jaxplan.world.obstacles import World
 
-FOLDER_VARIABLE = "JAXPLAN_CACHE_DIR"
-"""Environment variable that names the folder; empty: nothing is stored."""
 KEPT = 512 * 2**20
 """Bytes of all files together (arbitrary: some hundred rooms)."""
 
@@ -41,12 +39,9 @@ def load_roadmap(world: World, resolution: float, limits: tuple[float, ...]) -> 
 
 
 def cache_folder() -> Path | None:
-    """Where roadmaps are stored: JAXPLAN_CACHE_DIR, else ``jaxplan`` in the user's cache; None where nothing is."""
-    named = os.environ.get(FOLDER_VARIABLE)
-    if named is not None:
-        return Path(named) / "roadmaps" if named else None
-    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    return Path(base) / "jaxplan" / "roadmaps" if os.path.isabs(base) else None
+    """Where roadmaps are stored; None where nothing is."""
+    root = cache_root()
+    return None if root is None else root / "roadmaps"
 
 
 def _key(world: World, empty: Field, limits: tuple[float, ...]) -> str:

@@ -9,6 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxplan.errors import FileError, InputError
+from jaxplan.names import list_presets as list_presets
+from jaxplan.names import require_vehicle
 from jaxplan.vehicle.assumed import STANDING_IN, completed
 from jaxplan.vehicle.gains import IndiGains, Se3Gains, gains_for
 from jaxplan.vehicle.params import SHAPES, Vehicle, suspicions
@@ -21,17 +23,9 @@ _MANDATORY = {"mass", "rotor_positions", "thrust_coefficient", "rotor_speed_max"
 """Without these nothing else can be assumed."""
 
 
-def list_presets() -> list[str]:
-    """The names of the presets, sorted."""
-    return sorted(path.stem for path in _PRESETS.glob("*.toml"))
-
-
 def preset(name: str) -> Vehicle:
     """One of ``list_presets``. Raises InputError for another name."""
-    if name not in list_presets():
-        raise InputError(
-            f"There is no vehicle preset {name!r}: use one of {', '.join(list_presets())}, or the path of a .toml file."
-        )
+    require_vehicle(name)
     return vehicle_from_toml(_PRESETS / f"{name}.toml")
 
 

@@ -1,11 +1,11 @@
 """Worlds by a stored name or from files: which reader takes which file."""
 
-import os
 from importlib import resources
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from jaxplan.errors import FileError, InputError
+from jaxplan.names import ENVIRONMENTS, require_world
 from jaxplan.validation import require_path
 from jaxplan.world.formats.boxes import load_boxes
 from jaxplan.world.formats.meshes import load_obj, load_ply, load_stl
@@ -15,9 +15,6 @@ from jaxplan.world.formats.octomap import load_octomap
 from jaxplan.world.formats.point_clouds import load_npy, load_pcd
 from jaxplan.world.formats.streams import ByteStream, file_size
 from jaxplan.world.obstacles import World
-
-ENVIRONMENTS = ("env1", "env2", "env3")
-"""Names of the stored worlds."""
 
 _MAX_BYTES = {".xml": 4 * 2**20, ".json": 2 * 2**20, ".bt": 16 * 2**20}
 _MAX_BYTES |= dict.fromkeys((".stl", ".obj", ".ply", ".pcd", ".npy", ".npz"), 128 * 2**20)
@@ -58,15 +55,8 @@ def load_world(name_or_path: str | Path) -> World:
     require_path("world", name_or_path)
     if str(name_or_path) in ENVIRONMENTS:
         return _read(environment_path(str(name_or_path)), load_own_mjcf)
+    require_world(name_or_path)
     path = Path(name_or_path)
-    if path.suffix.lower() not in _READERS:
-        if os.path.exists(path):
-            endings = ", ".join(_READERS)
-            raise FileError(f"{path}: have the ending {path.suffix!r}, want one of {endings}; convert the map")
-        raise InputError(
-            f"world: have {str(name_or_path)!r}, want a stored world ({', '.join(ENVIRONMENTS)}) or a file ending in "
-            f"{', '.join(_READERS)}; check the name"
-        )
     return _read(path, _READERS[path.suffix.lower()])
 
 

@@ -1,14 +1,17 @@
 """What a planner does with each of its options: how it meets, where it looks, who allots the times."""
 
 import dataclasses
+import inspect
 
 import numpy as np
 import pytest
 
 from jaxplan.arrival import ArrivalConfig
+from jaxplan.compilation import Watch, compilations
 from jaxplan.errors import InputError
 from jaxplan.numerics import wrap_angle
-from jaxplan.planner import PlannerConfig, build_planner, select
+from jaxplan.planner import PlannerConfig, Plans, build_planner, select
+from jaxplan.planner.stations import LENGTHS
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
 from jaxplan.spline import hover
@@ -186,3 +189,39 @@ def test_both_allocations_find_what_either_finds(world, moving):
         assert score["fast"] == score["profile"]
         better |= {name for name in ("policy", "profile") if score[name] < score["both"]}
     assert better == {"policy", "profile"}
+
+
+def test_a_planner_shows_what_it_can_do():
+    """In five lines; ``planner.plan_batch?`` shows arguments and documentation."""
+    config = PlannerConfig(heading="path", width=32)
+    shown = build_planner(config, world=load_world("env1"), vehicle=load_vehicle(), policy=constant_speed_policy())
+    lines = repr(shown).splitlines()
+    assert len(lines) <= 5
+    assert lines[0] == "Planner with PlannerConfig(heading='path', width=32)"
+    assert max(map(len, lines)) <= 120
+    for name in set(shown._fields) - {"config"}:
+        assert f"{name}(" in repr(shown), name
+        assert len(repr(getattr(shown, name))) < 100, name
+        assert inspect.getdoc(getattr(shown, name)), name
+    signature = inspect.signature(shown.plan_batch)
+    assert list(signature.parameters) == ["state", "candidates", "timer", "above"]
+    assert signature.return_annotation in ("Plans", Plans)
+    assert "meet each candidate" in inspect.getdoc(shown.plan_batch)
+    assert "cast to float64" in inspect.getdoc(shown.plan_batch)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("allocate", ["profile", "policy"])
+def test_what_cannot_be_asked_for_is_not_compiled(world, moving, allocate):
+    """One time allocation is one program for each length, and nothing compiles after the warm-up all the same."""
+    config = dataclasses.replace(CONFIG, allocate=allocate, width=16)
+    planner = build_planner(config, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
+    with Watch() as watch:
+        planner.warmup(hover(START))
+    assert watch.ended()["match"] == len(LENGTHS)
+    before = compilations()
+    for start in (hover(START), moving):
+        planner.plan_batch(start, candidates(20))
+        planner.approach(start, candidates(20))
+        planner.brake(start)
+    assert compilations() == before

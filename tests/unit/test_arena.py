@@ -161,8 +161,8 @@ def test_a_recorded_flight_gets_a_room_around_it(tmp_path) -> None:
 def test_fast_navigation_uses_all_of_its_acceleration() -> None:
     rng = np.random.default_rng(0)
     for _ in range(20):
-        apart, relative, own = rng.normal(scale=5.0, size=(3, 3))
-        wanted = command(FAST, apart, relative, own, own + relative)
+        apart, closing, own = rng.normal(scale=5.0, size=(3, 3))
+        wanted = command(FAST, apart, closing, own, own + closing)
         assert np.linalg.norm(wanted) == pytest.approx(COMMANDED, **relative("formula"))
     straight = command(FAST, np.array([5.0, 0.0, 0.0]), np.array([-2.0, 0.0, 0.0]), np.array([2.0, 0, 0]), np.zeros(3))
     np.testing.assert_allclose(straight, [COMMANDED, 0.0, 0.0], **tolerance("exact"))

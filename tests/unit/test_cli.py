@@ -123,7 +123,7 @@ def test_no_interception_is_a_valid_run(tmp_path: Path, pretend: Callable[..., N
     pretend(lambda config, progress: flight(config, success=False), success=False)
     arguments = ["intercept", "--out", str(tmp_path)]
     assert cli.run(arguments) == 0
-    assert cli.run([*arguments, "--require-success"]) == 13
+    assert cli.run([*arguments, "--overwrite", "--require-success"]) == 13
     assert sorted(path.name for path in tmp_path.iterdir()) == FILES
 
 
@@ -139,7 +139,7 @@ def test_a_saved_configuration_repeats_a_run(tmp_path: Path, pretend: Callable[.
     assert cli.run(["intercept", *first, "--out", str(tmp_path / "a")]) == 0
     saved = ["intercept", "--config", str(tmp_path / "a" / "config.json"), "--out", str(tmp_path / "b")]
     assert cli.run(saved) == 0
-    assert cli.run([*saved, "--speed", "3", "--start", "0", "0", "1"]) == 0
+    assert cli.run([*saved, "--overwrite", "--speed", "3", "--start", "0", "0", "1"]) == 0
     assert [config.out for config in seen] == [str(tmp_path / "a"), *2 * [str(tmp_path / "b")]]
     assert replace(seen[1], out=seen[0].out) == seen[0]
     assert replace(seen[2], speed=2.0, start=seen[1].start) == seen[1]
@@ -175,6 +175,26 @@ def test_saved_configurations_that_are_none(
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
+
+
+def test_a_run_is_not_overwritten_unless_that_is_asked_for(
+    tmp_path: Path, pretend: Callable[..., None], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pretend(lambda config, progress: flight(config))
+    monkeypatch.chdir(tmp_path)
+    assert cli.run(["intercept", "--out", "mine", "--seed", "1"]) == 0
+    before = {path.name: path.read_bytes() for path in (tmp_path / "mine").iterdir()}
+    capsys.readouterr()
+    assert cli.run(["intercept", "--out", "mine/"]) == 10
+    assert capsys.readouterr().err == (
+        "jaxplan: --out: 'mine' holds a run already; choose another folder or give --overwrite\n"
+    )
+    assert {path.name: path.read_bytes() for path in (tmp_path / "mine").iterdir()} == before
+    assert cli.run(["intercept", "--out", "mine", "--overwrite"]) == 0
+    assert json.loads((tmp_path / "mine" / "config.json").read_text())["seed"] == 0
+    for seed in ("1", "2"):  # the default folder is replaced by every run
+        assert cli.run(["intercept", "--seed", seed]) == 0
+        assert json.loads((tmp_path / "out" / "intercept" / "config.json").read_text())["seed"] == int(seed)
 
 
 ERRORS = [

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from jaxplan.errors import FileError
-from jaxplan.policy.checkpoint import load_policy, policy_card, save_policy
+from jaxplan.policy.checkpoint import load_policy, policy_card, policy_vehicle, resolve_policy, save_policy
 from jaxplan.policy.features import SEGMENT_FEATURES, STATE_FEATURES, segment_features, sequence_frame, state_features
 from jaxplan.policy.network import NetworkConfig, PolicyNetwork
 from jaxplan.policy.neural import neural_policy
@@ -214,3 +214,15 @@ def test_the_shipped_policy_takes_longer_from_a_faster_start_that_must_be_stoppe
     state = FlatStateBatch(derivatives=derivatives, yaw=np.zeros((3, 6)))
     total = durations(load_policy("pretrained"), points, np.full(6, 2), state).sum(axis=0)
     assert (np.diff(total) > 0.0).all()
+
+
+def test_for_whom_a_policy_is_can_be_read_without_running_it(tmp_path, compilations):
+    compilations.count = 0
+    found = policy_vehicle("mfrl")
+    assert compilations.count == 0
+    assert found == load_policy("mfrl").vehicle
+    damaged = bytearray(resolve_policy("mfrl")[0].read_bytes())
+    damaged[-1] ^= 1
+    (tmp_path / "own.npz").write_bytes(damaged)
+    with pytest.raises(FileError, match="damaged"):
+        policy_vehicle(tmp_path / "own.npz")

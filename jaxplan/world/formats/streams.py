@@ -8,6 +8,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from jaxplan.errors import FileError
+from jaxplan.names import require_map
 
 LONGEST_LINE = 2**16
 """Bytes; arbitrary, a polygon of ten thousand corners."""
@@ -36,9 +37,7 @@ class ByteStream(Protocol):
 
 def file_size(path: Path) -> int:
     """Bytes of a regular file; ``FileError`` for anything else."""
-    if not os.path.isfile(path):
-        have = "no such file" if not os.path.exists(path) else "something that is not a file"
-        raise FileError(f"{path}: {have}, want a readable map; check the path")
+    require_map(path)
     return path.stat().st_size
 
 

@@ -1,0 +1,37 @@
+"""``jaxplan cache``: whether what XLA has compiled is kept for the next start."""
+
+import sys
+from typing import Literal
+
+
+def cache(action: Literal["on", "off", "clear", "status"] = "status", *, debug: bool = False) -> int:
+    """Keep what is compiled, so that later starts load it.
+
+    Parameters
+    ----------
+    action
+        on: keep it from now on; off: no longer; clear: remove what is kept; status: say what is.
+    debug
+        Show the traceback of an error.
+    """
+    from jaxplan import programs
+
+    if action in ("on", "off"):
+        programs.switch(action == "on")
+    elif action == "clear":
+        programs.clear()
+    found = programs.status()
+    kept = f"{found.programs} programs, {found.size / 1e6:.1f} MB, in {found.folder}"
+    print(f"{'on' if found.on else 'off'}: {kept}")
+    if found.others:
+        print(f"{found.others} folders of other machines or versions, which are not used: jaxplan cache clear")
+    return 0
+
+
+def use_cache() -> None:
+    """Use the programs that are kept, where the user wants that; says so where something is wrong with them."""
+    from jaxplan import programs
+
+    complaint = programs.use()
+    if complaint is not None:
+        print(f"jaxplan: {complaint}", file=sys.stderr)
