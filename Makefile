@@ -14,7 +14,7 @@ JAX_TESTS = $(wildcard tests/unit/test_minsnap_*.py tests/unit/test_spline*.py t
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-jax test-slow test-firmware check format bench docs clean
+.PHONY: help demo test test-jax test-slow test-docs test-firmware check format bench docs examples release-check clean
 
 help:
 	@echo "make demo       install, fly one interception, draw it (under 5 minutes)"
@@ -25,7 +25,10 @@ help:
 	@echo "make check      ruff and mypy"
 	@echo "make format     let ruff rewrite what it can"
 	@echo "make bench      the benchmarks, into benchmarks/results/"
-	@echo "make docs       run the code of README.md and docs/"
+	@echo "make docs       build the site into site/, with every link followed"
+	@echo "make test-docs  run the code of README.md and docs/"
+	@echo "make examples   run the examples anew and keep what they print; their notebooks, too"
+	@echo "make release-check  build the packages, install them elsewhere, and use them there"
 	@echo "make clean      remove environments, caches and outputs"
 
 $(BIN)/python:
@@ -38,6 +41,14 @@ $(VENV)/.installed: pyproject.toml | $(BIN)/python
 $(VENV)/.installed-dev: pyproject.toml | $(BIN)/python
 	$(PIP) install --quiet --editable '.[dev]'
 	@touch $@ $(VENV)/.installed
+
+$(VENV)/.installed-docs: pyproject.toml | $(BIN)/python
+	$(PIP) install --quiet --editable '.[docs,cluster]'
+	@touch $@ $(VENV)/.installed
+
+$(VENV)/.installed-release: pyproject.toml | $(BIN)/python
+	$(PIP) install --quiet 'build>=1.2' 'twine>=6.1'
+	@touch $@
 
 demo: $(VENV)/.installed
 	$(BIN)/jaxplan intercept --require-success --overwrite --out $(OUT)
@@ -72,9 +83,20 @@ bench: $(VENV)/.installed-dev
 	    echo "== $$file"; $(BIN)/python -m benchmarks.$$(basename $$file .py) || exit 1; \
 	done
 
-docs: $(VENV)/.installed-dev
+docs: $(VENV)/.installed-docs
+	$(BIN)/python -m tools.site
+
+test-docs: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n 2 tests/integration/test_docs.py
 
+examples: $(VENV)/.installed-docs
+	$(BIN)/python -m tools.record_examples
+	$(BIN)/python -m tools.notebooks
+
+# RELEASE_PYTHONS: the interpreters to install for, one after the other.
+release-check: $(VENV)/.installed-release
+	$(BIN)/python -m tools.release $(RELEASE_PYTHONS)
+
 clean:
-	rm -rf .venv .venv-* build dist out .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	rm -rf .venv .venv-* build dist out site .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -38,7 +38,8 @@ class InterceptConfig:
     """One closed-loop interception."""
 
     world: str = "env1"
-    """A stored world (env1) or a file: MJCF (.xml), surface mesh (.stl), rotorpy boxes (.json)."""
+    """A stored world (env1) or a file: MJCF (.xml), rotorpy's boxes (.json), surfaces (.stl, .obj, .ply), points (.pcd,
+    .npy, .ply), an OctoMap (.bt), an occupancy grid (.npz); docs/worlds.md says how each is read."""
 
     target: str | None = None
     """A stored trajectory, or a recorded flight: t,x,y,z, TUM, PX4's ULog or MCAP. Default: the world's first."""

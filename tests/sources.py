@@ -61,12 +61,12 @@ def sources(*folders: str) -> list[Source]:
 
 def code() -> list[Source]:
     """What is not a test."""
-    return sources("jaxplan", "experiments", "benchmarks")
+    return sources("jaxplan", "experiments", "benchmarks", "tools")
 
 
 def everything() -> list[Source]:
     """All Python files."""
-    return [*code(), *sources("tests")]
+    return [*code(), *sources("tests", "examples")]
 
 
 def offenders(found: Iterable[tuple[Source, str]]) -> list[str]:

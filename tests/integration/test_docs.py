@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
-BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
-PAGES = [path for path in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))) if path.is_file()]
-WITH_CODE = [path for path in PAGES if BLOCK.search(path.read_text(encoding="utf-8"))]
-LONG = {"docs/minsnap.md", "docs/plant.md", "docs/policy.md"}
-"""Pages whose code runs for more than ten seconds; `make docs` runs all."""
+from tools.docs_code import ROOT, code_of_page, pages, pages_with_code
+
+PAGES, WITH_CODE = pages(), pages_with_code()
+LONG = {"docs/minsnap.md", "docs/plant.md", "docs/policy.md", "docs/start.md", "docs/howto/predictor.md"}
+"""Pages whose code runs for more than ten seconds; `make test-docs` runs all."""
+MODULES = r"runtime|mavlink|io\.export|prediction\.observations|policy\.protocol"
+"""Of ``jaxplan``, from which code of the docs may import."""
 LINK = re.compile(r"\]\((?!https?://|#)([^)#]+)(?:#[^)]*)?\)")
 
 
@@ -24,10 +25,8 @@ def name(path: Path) -> str:
     "path", [pytest.param(p, id=name(p), marks=[pytest.mark.slow] * (name(p) in LONG)) for p in WITH_CODE]
 )
 def test_code_blocks_run(path: Path, tmp_path: Path) -> None:
-    code = "\n".join(BLOCK.findall(path.read_text(encoding="utf-8")))
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False
-    )
+    command = [sys.executable, "-c", code_of_page(path)]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
 
 
@@ -39,6 +38,5 @@ def test_links_lead_somewhere(path: Path) -> None:
 
 @pytest.mark.parametrize("path", WITH_CODE, ids=name)
 def test_code_blocks_need_only_public_names(path: Path) -> None:
-    """Those of ``jaxplan``, and of its three public modules."""
-    code = "\n".join(BLOCK.findall(path.read_text(encoding="utf-8")))
-    assert re.findall(r"(?:from|import) jaxplan\.(?!runtime import|mavlink import|io\.export import).*", code) == []
+    """Those of ``jaxplan``, and of the modules that people write their own parts against."""
+    assert re.findall(rf"(?:from|import) jaxplan\.(?!(?:{MODULES}) import).*", code_of_page(path)) == []

@@ -12,7 +12,6 @@ from jaxplan.errors import InputError
 from jaxplan.interception.judging import until_decided
 from jaxplan.io.cycles import read_cycles, saved_cycles, write_cycles
 from jaxplan.io.targets import Target, load_target, stored_targets
-from jaxplan.metrics import episode_metrics
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.predictors import PREDICTORS, build_predictor
 from jaxplan.prediction.protocol import PredictionConfig
@@ -23,6 +22,7 @@ from jaxplan.spline import hover
 from jaxplan.status import PlanStatus
 from jaxplan.tracking.rollout import CONTROL_RATE
 from jaxplan.viz.replay import replay_of
+from oracles.metrics_schema import valid_metrics
 from tolerances import tolerance
 
 
@@ -56,7 +56,7 @@ def still(position, duration=3.0):
 
 def test_default_episode_intercepts(episode):
     assert episode.outcome == "intercepted"
-    metrics = episode_metrics(episode)
+    metrics = valid_metrics(episode)
     assert metrics["success"]
     assert metrics["min_distance_m"] < 0.4
     assert metrics["meeting"]["relative_speed_m_s"] > metrics["meeting"]["speed_m_s"] - 1.5 > 0.0
@@ -70,7 +70,7 @@ def test_default_episode_intercepts(episode):
 
 
 def test_commanded_trajectory_never_jumps(episode):
-    jumps = episode_metrics(episode)["switch_jump"]
+    jumps = valid_metrics(episode)["switch_jump"]
     assert all(value <= 1e-6 for value in jumps.values()), jumps
 
 
@@ -131,7 +131,7 @@ def test_every_predictor_flies_without_compiling(scenario, predictor):
     assert max(cycle.generated for cycle in result.cycles) == (400 if PREDICTORS[predictor].sampling else 20)
     if predictor not in ("none", "constant-acceleration"):
         assert result.success
-    assert episode_metrics(result)["predictor_fallbacks"] == 0  # two observations are enough for a mixture
+    assert valid_metrics(result)["predictor_fallbacks"] == 0  # two observations are enough for a mixture
 
 
 def test_target_behind_everything_ends_without_success(scenario):
@@ -139,7 +139,7 @@ def test_target_behind_everything_ends_without_success(scenario):
     result = interception.fly(again(scenario, target=far))
     assert result.outcome == "target_ended"
     assert not result.success
-    assert episode_metrics(result)["time_to_intercept_s"] is None
+    assert valid_metrics(result)["time_to_intercept_s"] is None
 
 
 def test_late_departure_means_no_plan(scenario):
@@ -147,7 +147,7 @@ def test_late_departure_means_no_plan(scenario):
     assert result.outcome == "no_plan"
     assert len(result.cycles) == 0
     assert result.flight.times[-1] == pytest.approx(1.0)
-    assert episode_metrics(result)["replan_ms"] == {}
+    assert valid_metrics(result)["replan_ms"] == {}
 
 
 def test_a_silent_target_is_lost_and_no_stale_goal_is_chased(scenario):
@@ -243,6 +243,6 @@ def test_an_episode_in_real_time_is_met_as_soon_and_no_setpoint_waits(tmp_path):
     assert np.median(kept.setpoint_us) < 1000.0, "no waiting for a planner that takes 10 ms and more"
     assert episode.wall_s == pytest.approx(episode.flight.times[-1], abs=0.5)
     assert abs(float(episode.flight.times[-1]) - float(interception.run(config).flight.times[-1])) < 0.5
-    metrics = episode_metrics(episode)
+    metrics = valid_metrics(episode)
     assert metrics["real_time"]["late_plans"] == kept.status.late
     assert sum(metrics["replan_status"].values()) == pytest.approx(metrics["replans"], abs=1)

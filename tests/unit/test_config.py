@@ -1,12 +1,15 @@
 """What InterceptConfig refuses."""
 
+import inspect
 import math
+import re
 from typing import Any
 
 import pytest
 
 from jaxplan.config import InterceptConfig
 from jaxplan.errors import InputError
+from jaxplan.world.load import _READERS
 
 BAD: list[dict[str, Any]] = [
     {"speed": 0.0},
@@ -61,3 +64,10 @@ def test_only_what_passes_with_its_heading_held_is_refined(fields: dict[str, Any
 def test_defaults_and_good_values_pass() -> None:
     InterceptConfig().validate()
     InterceptConfig(speed=5.5, departure=0, start=(1, 2.0, 0.5), seed=7, target="a file.csv").validate()
+
+
+def test_the_help_of_world_names_every_kind_of_map() -> None:
+    """``jaxplan intercept --help`` shows the docstring of the field."""
+    field = inspect.getsource(InterceptConfig).split("world: str", 1)[1].split("target: str", 1)[0]
+    named = set(re.findall(r"\.[a-z]+\b", field)) - {".md"}
+    assert named == set(_READERS)

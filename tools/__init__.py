@@ -1,0 +1,1 @@
+"""What makes the project's site, notebooks, pictures and releases; nothing of it is installed."""
