@@ -45,7 +45,7 @@ def test_the_table_and_the_picture(tmp_path):
     assert "| ADE / FDE [m] | env1 (3) | ms |\n|---|---|---|\n| none | 1.00 / 2.00 | 0.10 |" in as_markdown(rows)
     assert "| none | - / - / - | 0.10 |" in as_markdown(rows)
     shown = list(panels("env1"))
-    assert [len(panel.goals) for panel in shown] == [20, 20, 400, 400, 400]
+    assert [len(panel.goals) for panel in shown] == [20, 20, 400, 400, 400, 400]
     assert all(panel.usable.any() for panel in shown)
     draw_predictions([(load_world("env1"), shown)], tmp_path / "p.png")
     assert (tmp_path / "p.png").stat().st_size > 20_000
