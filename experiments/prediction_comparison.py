@@ -1,10 +1,10 @@
 """Compare the predictors: the paper's figure of its prediction models, and how far each is from what happens.
 
-    jaxplan experiment prediction-comparison --preset smoke|small|full [--flights FOLDER] [--noises 0 0.1] [--dropouts 0.2]
+    jaxplan experiment prediction-comparison --preset smoke|small|full [--flights FOLDER] [--noises 0 0.1]
 
 Windows of ten observed and twenty future positions are cut from the ten stored targets of each environment, at ten
-maximum speeds from 0.5 to 5.5 m/s each, and a tenth as many of new, fast flights; none was used to fit a mixture. Recorded
-flights are resampled to 0.1 s and predicted with the generic mixture.
+maximum speeds from 0.5 to 5.5 m/s each, and a tenth as many of new, fast flights; none was used to fit a mixture.
+Recorded flights are resampled to 0.1 s and predicted with the generic mixture.
 """
 
 import dataclasses
@@ -124,7 +124,7 @@ def as_markdown(rows: list[Row]) -> str:
     for title, keys, digits in (
         ("ADE / FDE [m]", ("ade_m", "fde_m"), 2),
         (
-            f"Mean error [m] {', '.join(f'{at:g}' for at in AHEAD)} s ahead",
+            "Mean error [m] 0.4, 1 and 2 s ahead",
             tuple(f"error_{at:g}s_m" for at in AHEAD),
             2,
         ),
@@ -167,10 +167,8 @@ class Config:
         if self.windows < len(SPEEDS) or self.seed < 0:
             raise InputError(f"--windows {self.windows} --seed {self.seed}: want at least {len(SPEEDS)} and at least 0")
         if not self.noises or not all(0.0 <= noise < np.inf for noise in self.noises) or not 0.0 <= self.dropouts < 1.0:
-            raise InputError(
-                f"--noises {' '.join(map(str, self.noises))} --dropouts {self.dropouts}: want standard deviations of 0 m or "
-                "more, and a share below 1"
-            )
+            have = f"--noises {' '.join(map(str, self.noises))} --dropouts {self.dropouts}"
+            raise InputError(f"{have}: want standard deviations of 0 m or more, and a share below 1")
         if not all(0.0 < speed <= 50.0 for speed in self.fast):
             raise InputError(f"--fast {' '.join(map(str, self.fast))}: want speeds above 0 and up to 50 m/s")
         if self.flights is not None and not Path(self.flights).is_dir():
@@ -186,9 +184,7 @@ def items(config: Config) -> list[Item]:
     found = []
     for place, speed in places:
         for noise in config.noises:
-            title = (
-                f"{Path(place).stem}{'' if speed is None else f' at {speed:g} m/s'}{f', {noise:g} m' if noise else ''}"
-            )
+            title = Path(place).stem + (f" at {speed:g} m/s" if speed else "") + (f", {noise:g} m" if noise else "")
             found.append(Item(title, title, {"column": place, "title": title, "speed": speed, "noise": noise}))
     return found
 

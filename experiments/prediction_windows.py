@@ -45,10 +45,11 @@ def stored_windows(
 def fast_windows(
     world: World, dt: float, speed: float, count: int, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "k length 3"], int]:
-    """``count`` windows, or fewer, of new flights through a room, and how many of their positions were seen: a second's.
+    """``count`` windows, or fewer, of new flights through a room, and how many of their positions were seen: a second.
 
-    Two seconds follow. At the newest position seen a target is nearly as fast as ``speed`` [m/s], its maximum. Waypoints
-    are chains of free places, not the tours of the stored targets. Raises InputError where the room is too small.
+    Two seconds follow. At the newest position seen a target is nearly as fast as ``speed`` [m/s], its maximum.
+    Waypoints are chains of free places, not the tours of the stored targets. Raises InputError where the room is too
+    small.
     """
     observed, steps = min(10, round(1.0 / dt) + 1), round(2.0 / dt)
     config = WindowConfig(

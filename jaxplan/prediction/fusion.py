@@ -141,10 +141,10 @@ def _mixture_foresees(
     """
     log_weights, means, _ = condition(model, seen[3:])
     factors = jnp.moveaxis(jnp.asarray(model.factors)[: len(positions)], -1, 1)
-    spread = factors @ jnp.swapaxes(factors, -1, -2) + tolerance**2 * jnp.eye(3)
+    spread = factors @ jnp.swapaxes(factors, -1, -2) + tolerance**2 * jnp.eye(3)[None, None]
     lower = jnp.linalg.cholesky(spread)
-    off = (positions - seen[:3])[:, None] - jnp.swapaxes(means[: len(positions)], 1, 2)
+    off = (positions - seen[None, :3])[:, None] - jnp.swapaxes(means[: len(positions)], 1, 2)
     white = jax.scipy.linalg.solve_triangular(lower, off[..., None], lower=True)[..., 0]
     volumes = jnp.log(jnp.diagonal(lower, axis1=-2, axis2=-1)).sum(axis=-1)
-    exponents = log_weights - volumes - 0.5 * (white * white).sum(axis=-1)
+    exponents = log_weights[None] - volumes - 0.5 * (white * white).sum(axis=-1)
     return jax.nn.logsumexp(exponents, axis=-1) - 1.5 * jnp.log(2.0 * jnp.pi)

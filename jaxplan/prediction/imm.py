@@ -81,7 +81,7 @@ def track(
         log_levels=jnp.asarray(log_shares),
         log_weights=jnp.full((len(levels), MODES), -jnp.log(1.0 * MODES)),
         means=jnp.zeros((len(levels), MODES, 3, 3)).at[:, :, 0].set(positions[first]),
-        covariances=jnp.repeat((variances[:, :, None] * jnp.eye(3))[:, None], MODES, axis=1),
+        covariances=jnp.repeat((variances[:, :, None] * jnp.eye(3)[None])[:, None], MODES, axis=1),
     )
 
     def step(belief: Belief, seen: tuple[Array, Array, Array]) -> tuple[Belief, Belief]:
@@ -108,7 +108,7 @@ def interact(config: MotionConfig, belief: Belief, time: Float[AnyArray, ""]) ->
     """Each mode's state as the mixture of those it may have come from within ``time`` [s] (Blom and Bar-Shalom)."""
     left = -jnp.expm1(-time / config.sojourn)
     change = (1.0 - left - left / (MODES - 1)) * jnp.eye(MODES) + left / (MODES - 1)
-    joint = jnp.maximum(jnp.exp(belief.log_weights), _LEAST_WEIGHT)[:, :, None] * change
+    joint = jnp.maximum(jnp.exp(belief.log_weights), _LEAST_WEIGHT)[:, :, None] * change[None]
     weights = joint.sum(axis=1)
     share = (joint / weights[:, None])[..., None, None]
     means = (share * belief.means[:, :, None]).sum(axis=1)
@@ -123,9 +123,9 @@ def update(levels: Float[AnyArray, "l"], belief: Belief, position: Float[AnyArra
     noise = (jnp.asarray(levels) ** 2)[:, None]
     variance = belief.covariances[..., 0, 0] + noise
     gain = belief.covariances[..., :, 0] / variance[..., None]
-    off = position - belief.means[..., 0, :]
+    off = jnp.asarray(position)[None, None] - belief.means[..., 0, :]
     means = belief.means + gain[..., :, None] * off[..., None, :]
-    rest = jnp.eye(3) - gain[..., :, None] * jnp.array([1.0, 0.0, 0.0])
+    rest = jnp.eye(3)[None, None] - gain[..., :, None] * jnp.array([1.0, 0.0, 0.0])[None, None, None]
     covariances = _product(_product(rest, belief.covariances), jnp.swapaxes(rest, -1, -2))
     covariances = covariances + noise[..., None, None] * gain[..., :, None] * gain[..., None, :]
     log_weights = belief.log_weights + _log_density(variance, off)
@@ -158,17 +158,18 @@ def log_foreseen(
     def one(time: Float[Array, ""], position: Float[Array, "3"]) -> Float[Array, ""]:
         there = predict(config, belief, time)
         variance = there.covariances[..., 0, 0] + (jnp.asarray(tolerances) ** 2)[:, None]
-        density = _log_density(variance, position - there.means[..., 0, :])
+        density = _log_density(variance, position[None, None] - there.means[..., 0, :])
         return jax.nn.logsumexp(jax.nn.log_softmax(there.log_levels)[:, None] + there.log_weights + density)
 
     return jax.vmap(one)(jnp.asarray(times), jnp.asarray(positions))
 
 
-def _log_density(variance: Float[Array, "*n"], off: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+def _log_density(variance: Float[AnyArray, "*n"], off: Float[AnyArray, "*n 3"]) -> Float[Array, "*n"]:
     """Of an isotropic normal distribution in three dimensions."""
     return -1.5 * (_LOG_TWO_PI + jnp.log(variance)) - 0.5 * (off * off).sum(axis=-1) / variance
 
 
-def _product(a: Float[Array, "*n 3 3"], b: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3 3"]:
+def _product(a: Float[AnyArray, "*n 3 3"], b: Float[AnyArray, "*n 3 3"]) -> Float[Array, "*n 3 3"]:
     """Of small matrices: faster than ``@``, which calls a routine for each."""
-    return (a[..., :, :, None] * b[..., None, :, :]).sum(axis=-2)
+    product: Float[Array, "*n 3 3"] = (jnp.asarray(a)[..., :, :, None] * b[..., None, :, :]).sum(axis=-2)
+    return product

@@ -113,15 +113,15 @@ def filter_flights(
     size = safe_norm(acceleration, keepdims=True)
     acceleration = acceleration * jnp.minimum(1.0, _LARGEST * config.max_acceleration / jnp.maximum(size, 1e-9))
     speed = safe_norm(velocity)
-    fading = liveliness(config, speed).fading[:, None]
-    gone = -jnp.expm1(-offsets / fading)
-    turned = turn_motion(jnp.asarray(offsets), turn_rate(config, velocity, acceleration)[:, None])
-    bent = jnp.where((mode == FADING)[:, None], fading * (offsets - fading * gone), 0.0)
+    fading, times = liveliness(config, speed).fading[:, None], jnp.asarray(offsets)[None]
+    turned = turn_motion(times, turn_rate(config, velocity, acceleration)[:, None])
+    bent = jnp.where((mode == FADING)[:, None], fading * (times + fading * jnp.expm1(-times / fading)), 0.0)
     bent = jnp.where((mode == TURN)[:, None], turned[:, :, 0, 2], bent)
-    onwards = jnp.where((mode == TURN)[:, None], turned[:, :, 0, 1], offsets)
+    onwards = jnp.where((mode == TURN)[:, None], turned[:, :, 0, 1], times)
     mean = position[:, None] + onwards[..., None] * velocity[:, None] + bent[..., None] * acceleration[:, None]
     moved = _noise_response(config, jnp.asarray(offsets), mode, speed)
-    return mean + (moved[..., None] * normals[:, 1, None]).sum(axis=2)
+    flights: Float[Array, "n s 3"] = mean + (moved[..., None] * normals[:, 1, None]).sum(axis=2)
+    return flights
 
 
 def outside_of_things(world: World | None, position: Float[AnyArray, "3"]) -> Float[Array, "3"]:
@@ -131,7 +131,7 @@ def outside_of_things(world: World | None, position: Float[AnyArray, "3"]) -> Fl
         return place
     distance = jax.value_and_grad(lambda point: free_distance(world, point))
 
-    def push(_: int, point: Float[Array, "3"]) -> Float[Array, "3"]:
+    def push(_: Int[Array, ""], point: Float[Array, "3"]) -> Float[Array, "3"]:
         free, away = distance(point)
         moved = point + (_START_CLEARANCE - free) * away / jnp.maximum((away * away).sum(), 0.1)
         return jnp.where(free < 0.5 * _START_CLEARANCE, moved, point)
@@ -163,16 +163,16 @@ def _noise_response(
 ) -> Float[Array, "n s c"]:
     """Metres that a unit of each cosine in a mode's white noise has moved each particle."""
     horizon, expected = offsets[-1], liveliness(config, speed)
-    grid = horizon * (np.arange(_GRID) + 0.5) / _GRID
-    waves = jnp.cos(jnp.arange(_COSINES) * jnp.pi * grid[:, None] / horizon)
-    weights = waves * jnp.sqrt(jnp.where(jnp.arange(_COSINES) == 0, 1.0, 2.0) / horizon) * horizon / _GRID
-    lag = jnp.maximum(offsets[:, None] - grid, 0.0)
+    grid = (np.arange(_GRID) + 0.5) / _GRID
+    waves = np.cos(np.pi * grid[:, None] * np.arange(_COSINES)) * np.where(np.arange(_COSINES) == 0, 1.0, np.sqrt(2.0))
+    weights = waves * jnp.sqrt(horizon) / _GRID
+    lag = jnp.maximum(offsets[:, None] - horizon * grid[None], 0.0)[None]
     fading = expected.fading[:, None, None]
     responses = (lag, fading * (lag + fading * jnp.expm1(-lag / fading)), 0.5 * lag**2)
     sizes = expected.noises(config)
     moved = jnp.zeros((len(speed), len(offsets), _COSINES))
     for which in (STRAIGHT, FADING, TURN):
-        one = sizes[which][:, None, None] * (responses[which] @ weights)
+        one = sizes[which][:, None, None] * jnp.tensordot(responses[which], weights, 1)
         moved = jnp.where((mode == which)[:, None, None], one, moved)
     return moved
 

@@ -97,11 +97,12 @@ def turn_rate(
 
 def straight_motion(time: Float[AnyArray, "*n"]) -> Float[Array, "*n 3 3"]:
     """Transition of the straight mode over ``time`` [s]; nothing is left of the acceleration."""
+    time = jnp.asarray(time)
     one, zero = jnp.ones_like(time), jnp.zeros_like(time)
     return _matrix((one, time, zero), (zero, one, zero), (zero, zero, zero))
 
 
-def fading_motion(time: Float[AnyArray, "*n"], fading: Float[AnyArray, "*n"]) -> Float[Array, "*n 3 3"]:
+def fading_motion(time: Float[AnyArray, "*#n"], fading: Float[AnyArray, "*#n"]) -> Float[Array, "... 3 3"]:
     """Transition of the fading mode over ``time`` [s]."""
     time, fading = jnp.broadcast_arrays(time, fading)
     gone = -jnp.expm1(-time / fading)
@@ -109,7 +110,7 @@ def fading_motion(time: Float[AnyArray, "*n"], fading: Float[AnyArray, "*n"]) ->
     return _matrix((one, time, fading * (time - fading * gone)), (zero, one, fading * gone), (zero, zero, 1.0 - gone))
 
 
-def turn_motion(time: Float[AnyArray, "*n"], rate: Float[AnyArray, "*n"]) -> Float[Array, "*n 3 3"]:
+def turn_motion(time: Float[AnyArray, "*#n"], rate: Float[AnyArray, "*#n"]) -> Float[Array, "... 3 3"]:
     """Transition of a turn at ``rate`` [rad/s] over ``time`` [s]."""
     time, rate = jnp.broadcast_arrays(time, rate)
     angle = rate * time
@@ -134,21 +135,15 @@ def transition(
     responses = jnp.stack(
         [
             straight * straight_motion(instants)[None, :, :, 1],
-            fading * fading_motion(instants, expected.fading[:, None])[..., 2],
-            turn * turn_motion(instants, rate[:, None])[..., 2],
+            fading * fading_motion(instants[None], expected.fading[:, None])[..., 2],
+            turn * turn_motion(instants[None], rate[:, None])[..., 2],
         ],
         axis=1,
     )
-    happens = (shares[:, None, None] * responses[..., :, None] * responses[..., None, :]).sum(axis=2)
-    motions = jnp.stack(
-        [
-            jnp.broadcast_to(straight_motion(time), (*speed.shape, 3, 3)),
-            fading_motion(time, expected.fading),
-            turn_motion(time, rate),
-        ],
-        axis=1,
-    )
-    return motions, happens.at[:, STRAIGHT, 2, 2].add(expected.acceleration**2)
+    happens = (shares[None, None, :, None, None] * responses[..., :, None] * responses[..., None, :]).sum(axis=2)
+    times = jnp.broadcast_to(jnp.asarray(time), speed.shape)
+    motions = [straight_motion(times), fading_motion(times, expected.fading), turn_motion(times, rate)]
+    return jnp.stack(motions, axis=1), happens.at[:, STRAIGHT, 2, 2].add(expected.acceleration**2)
 
 
 def _matrix(*rows: tuple[Float[Array, "*n"], ...]) -> Float[Array, "*n 3 3"]:

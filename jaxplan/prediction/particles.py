@@ -16,7 +16,6 @@ from jaxtyping import Array, Float, Int
 from scipy.special import ndtri
 from scipy.stats import qmc
 
-from jaxplan.arrays import AnyArray
 from jaxplan.precision import in_float64
 from jaxplan.prediction.kinematic import expected_acceleration, newest_velocity
 from jaxplan.prediction.mixture import MODES, ConditionalMixture, Prediction, condition
@@ -65,8 +64,8 @@ def particle_proposer(config: PredictionConfig, model: TargetModel, world: World
 def flights_proposal(
     config: PredictionConfig,
     room: World | None,
-    newest: Float[AnyArray, "3"],
-    flights: Float[AnyArray, "n s 3"],
+    newest: Float[Array, "3"],
+    flights: Float[Array, "n s 3"],
     note: Note,
 ) -> Proposal:
     """What particles that come from ``newest`` [m, world] propose in a room (host)."""
@@ -111,7 +110,7 @@ def fading_flights(
 
 @jax.jit
 def believable(
-    world: World | None, newest: Float[AnyArray, "3"], flights: Float[AnyArray, "n s 3"]
+    world: World | None, newest: Float[Array, "3"], flights: Float[Array, "n s 3"]
 ) -> tuple[Float[Array, "n s 3"], Float[Array, "n s"]]:
     """Particles that stop before what they would hit, and 1 where one counts: it has hit nothing, or the last of all.
 
