@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int
 from scipy.special import ndtri
 from scipy.stats import qmc
 
+from jaxplan.arrays import AnyArray
 from jaxplan.precision import in_float64
 from jaxplan.prediction.kinematic import expected_acceleration, newest_velocity
 from jaxplan.prediction.mixture import MODES, ConditionalMixture, Prediction, condition
@@ -64,14 +65,14 @@ def particle_proposer(config: PredictionConfig, model: TargetModel, world: World
 def flights_proposal(
     config: PredictionConfig,
     room: World | None,
-    newest: Float[Array, "3"],
-    flights: Float[Array, "n s 3"],
+    newest: Float[AnyArray, "3"],
+    flights: Float[AnyArray, "n s 3"],
     note: Note,
 ) -> Proposal:
     """What particles that come from ``newest`` [m, world] propose in a room (host)."""
-    flights, counts = believable(room, newest, flights)
-    goals, likelihood = goals_among(room, flights, counts, config.batch)
-    return Proposal(_prediction(flights, counts, config.offsets), Draws(np.asarray(goals), np.log(likelihood)), note)
+    stopped, counts = believable(room, jnp.asarray(newest), jnp.asarray(flights))
+    goals, likelihood = goals_among(room, stopped, counts, config.batch)
+    return Proposal(_prediction(stopped, counts, config.offsets), Draws(np.asarray(goals), np.log(likelihood)), note)
 
 
 def even_randoms(normals: int = MODES) -> tuple[Float[np.ndarray, "p"], Float[np.ndarray, "p r"]]:
