@@ -17,7 +17,7 @@ from scipy.special import ndtr
 
 from jaxplan.precision import in_float64
 from jaxplan.prediction.imm import log_foreseen, track
-from jaxplan.prediction.imm_flights import Filters, believed_position, filter_flights, outside_of_things
+from jaxplan.prediction.imm_flights import RANDOMS, Filters, believed_position, filter_flights, outside_of_things
 from jaxplan.prediction.imm_motions import USUAL_MOTION, MotionConfig
 from jaxplan.prediction.mixture import MODES, ConditionalMixture, condition
 from jaxplan.prediction.mixture_predictor import LEAST_SEEN, WindowMixture
@@ -52,7 +52,7 @@ def fused_proposer(
     filters, offsets = Filters(config), config.offsets
     noises = [0.0 if level <= LEARNED_NOISE else float(level) for level in filters.noise[0]]
     mixture = WindowMixture(config, model, world)
-    uniform, numbers = even_randoms(MODES + 1)
+    uniform, numbers = even_randoms(RANDOMS)
     normal, choice = numbers[:, :MODES], ndtr(numbers[:, MODES])
     room = None if world is None else in_float64(jax.device_put)(world)
     most = min(max(1, round(HINDSIGHT / config.dt)), config.steps, max(1, config.observations - LEAST_SEEN))

@@ -34,6 +34,8 @@ from jaxplan.status import Note
 from jaxplan.world.clearance import free_distance
 from jaxplan.world.obstacles import World
 
+RANDOMS = 19
+"""Normal numbers of a particle: nine for its state, nine for its noise, and one that ``fused`` chooses by."""
 _COSINES = 3
 _GRID = 40
 """Intervals in which the noise of a flight is summed up."""
@@ -75,7 +77,7 @@ class Filters:
 def imm_proposer(config: PredictionConfig, world: World | None, motion: MotionConfig = USUAL_MOTION) -> Proposer:
     """Flights of the filter that hit nothing, for any number of positions at whatever times."""
     filters, offsets = Filters(config), config.offsets
-    randoms = even_randoms()
+    randoms = even_randoms(RANDOMS)
     room = None if world is None else in_float64(jax.device_put)(world)
 
     @in_float64

@@ -69,7 +69,7 @@ def test_noise_hurts_them_less_than_what_they_are_made_of(predictors, seen):
     noisy = as_seen(seen[0], 0.1, 0.0, np.random.default_rng(0))
     found = {name: errors(one, noisy, seen[1])[:, :10].mean() for name, one in predictors.items()}
     assert found["fused"] < found["imm"] < 0.8 * found["constant-velocity"]
-    assert found["fused"] < 0.5 * found["particles"]
+    assert found["fused"] < 0.8 * found["particles"]
     exact = {name: errors(predictors[name], *seen)[:, :10].mean() for name in ("fused", "particles")}
     assert exact["fused"] < 1.15 * exact["particles"]
 
@@ -90,7 +90,7 @@ def test_uneven_positions_are_the_filters(predictors, seen):
     uneven = Observations(times=times, positions=np.array([5.0, 5.0, 1.0]) + times[:, None] * [1.0, 0.0, 0.0])
     candidates = predictors["fused"](uneven, 0)
     assert Note(candidates.note) == Note.PREDICTOR_FALLBACK
-    np.testing.assert_array_equal(candidates.goals, predictors["imm"](uneven, 0).goals)
+    assert_close(candidates.goals, predictors["imm"](uneven, 0).goals, "formula")
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -22,7 +22,7 @@ from jaxplan.prediction.imm_motions import (
     turn_motion,
 )
 from oracles.track_dense import fading_covariance, newest_given, white_covariance
-from tolerances import assert_close, tolerance
+from tolerances import assert_close, relative, tolerance
 
 pytestmark = pytest.mark.usefixtures("x64")
 LEVELS, SHARES = np.array(NOISE_LEVELS), np.log(NOISE_SHARES)
@@ -70,7 +70,7 @@ def test_each_mode_is_what_one_dense_normal_distribution_says(noise):
     found = belief.log_weights[0, FADING] - belief.log_weights[0, STRAIGHT]
     assert float(found) == pytest.approx(densities[FADING] - densities[STRAIGHT], abs=0.02)
     assert float(belief.log_levels[0] + belief.log_weights[0, STRAIGHT]) == pytest.approx(
-        densities[STRAIGHT] - np.log(3.0), abs=1e-6
+        densities[STRAIGHT] - np.log(3.0), **relative("solve")
     )
 
 
@@ -186,7 +186,7 @@ def test_what_is_foreseen_is_what_the_next_update_finds():
     before, after = (jax.tree.map(lambda leaf, at=at: leaf[at], stacked) for at in (-2, -1))
     foreseen = log_foreseen(USUAL_MOTION, before, np.array([0.1]), positions[-1:], LEVELS)
     grown = jax.nn.logsumexp(after.log_levels) - jax.nn.logsumexp(before.log_levels)
-    assert float(foreseen[0]) == pytest.approx(float(grown), abs=1e-9)
+    assert float(foreseen[0]) == pytest.approx(float(grown), **relative("formula"))
 
 
 @pytest.mark.parametrize(
