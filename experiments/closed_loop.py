@@ -32,7 +32,17 @@ from .plan_audit import audit
 LEARNED = tuple(name for name in intercept.PLANNERS if name != "no-policy")
 PLANNERS = (*intercept.PLANNERS, "profile", "optimiser", *LAWS)
 """Who allots the times; ``profile`` is what a vehicle of one's own is flown with, which nothing was learned for."""
-PREDICTORS = ("none", "ground-truth", "noisy-0.01", "noisy-0.05", "gmm", "particles", "constant-velocity")
+PREDICTORS = (
+    "none",
+    "ground-truth",
+    "noisy-0.01",
+    "noisy-0.05",
+    "gmm",
+    "particles",
+    "constant-velocity",
+    "imm",
+    "fused",
+)
 """``noisy-S`` has the standard deviation S [m] after one step; any S will do."""
 TIME_WEIGHT = 7.5e4
 """rho of the optimiser [m^2/s^8]: total times from rest are those of an earlier pretrained policy in the median of 200

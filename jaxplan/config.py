@@ -7,9 +7,11 @@ from typing import Any, Literal, get_args
 from jaxplan.errors import InputError
 from jaxplan.validation import checks_itself
 
-Predictor = Literal["none", "ground-truth", "noisy", "constant-velocity", "constant-acceleration", "gmm", "particles"]
+Predictor = Literal[
+    "none", "ground-truth", "noisy", "constant-velocity", "constant-acceleration", "gmm", "particles", "imm", "fused"
+]
 PREDICTORS: tuple[Predictor, ...] = get_args(Predictor)
-WITH_MODEL = ("gmm", "particles")
+WITH_MODEL = ("gmm", "particles", "fused")
 """Those that take a target model."""
 Planner = Literal["no-policy", "pretrained", "mfrl"]
 PLANNERS: tuple[Planner, ...] = get_args(Planner)

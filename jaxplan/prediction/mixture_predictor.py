@@ -23,19 +23,33 @@ _EVEN = 1e-6
 
 
 class WindowMixture:
-    """A mixture for windows of which only the newest positions may have been seen, on the device."""
+    """A mixture for windows of which only the newest positions may have been seen, on the device.
+
+    Positions may have more noise than the mixture learned with: it is made ready for each amount when it is first asked
+    with so much, which takes some 20 ms.
+    """
 
     def __init__(self, config: PredictionConfig, model: TargetModel, world: World | None) -> None:
         """Raises InputError where the model is for other windows than those of ``config``, or for another room."""
         check_model(model, observations=config.observations, steps=config.steps, dt=config.dt, world=world)
-        self._config, self._anchored = config, model.bounds is not None
-        counts = range(LEAST_SEEN, config.observations + 1)
-        self._mixtures = {seen: in_float64(jax.device_put)(model.conditional(seen)) for seen in counts}
+        self._config, self._model, self._anchored = config, model, model.bounds is not None
+        self._mixtures: dict[tuple[int, float], ConditionalMixture] = {}
+        for seen in range(LEAST_SEEN, config.observations + 1):
+            self._mixture(seen, 0.0)
 
-    def given(self, observations: Observations) -> tuple[ConditionalMixture, Float[np.ndarray, "p"]] | None:
+    def _mixture(self, seen: int, noise: float) -> ConditionalMixture:
+        if (seen, noise) not in self._mixtures:
+            ready = in_float64(jax.device_put)(self._model.conditional(seen, noise))
+            self._mixtures[seen, noise] = ready
+        return self._mixtures[seen, noise]
+
+    def given(
+        self, observations: Observations, noise: float = 0.0
+    ) -> tuple[ConditionalMixture, Float[np.ndarray, "p"]] | None:
         """The mixture for so many positions, and what it is conditioned on; None where there are too few.
 
-        The latter is the newest position [m, world] and behind it the coordinates of the window.
+        The latter is the newest position [m, world] and behind it the coordinates of the window. ``noise`` is the
+        positions' standard deviation [m] beyond what the mixture learned with.
         """
         times, positions = observations.times[-self._config.observations :], observations.positions
         if len(times) < LEAST_SEEN or np.abs(np.diff(times) - self._config.dt).max() >= _EVEN:
@@ -43,12 +57,15 @@ class WindowMixture:
         window = np.repeat(positions[-1:], self._config.observations, axis=0)
         window[-len(times) :] = positions[-len(times) :]
         seen = window_coordinates(window, self._config.observations, self._anchored)
-        return self._mixtures[len(times)], np.append(positions[-1], seen)
+        return self._mixture(len(times), noise), np.append(positions[-1], seen)
+
+    def coordinates(self, observations: Observations) -> int:
+        """How many the mixture is conditioned on: about the squared Mahalanobis distance of a usual window."""
+        return 3 * (min(len(observations.times), self._config.observations) - 1 + self._anchored)
 
     def is_unusual(self, observations: Observations, distance: float) -> bool:
         """Whether this squared Mahalanobis distance is that of a window unlike all that the mixture knows."""
-        seen = min(len(observations.times), self._config.observations)
-        return not distance <= _UNUSUAL * 3 * (seen - 1 + self._anchored)
+        return not distance <= _UNUSUAL * self.coordinates(observations)
 
 
 def mixture_proposer(config: PredictionConfig, model: TargetModel, world: World | None) -> Proposer:

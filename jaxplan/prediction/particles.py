@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int
 from scipy.special import ndtri
 from scipy.stats import qmc
 
+from jaxplan.arrays import AnyArray
 from jaxplan.precision import in_float64
 from jaxplan.prediction.kinematic import expected_acceleration, newest_velocity
 from jaxplan.prediction.mixture import MODES, ConditionalMixture, Prediction, condition
@@ -56,16 +57,27 @@ def particle_proposer(config: PredictionConfig, model: TargetModel, world: World
             flights = None if mixture.is_unusual(observations, float(distance)) else flights
         if flights is None:
             flights, note = fading_flights(observations, offsets, normal), Note.PREDICTOR_FALLBACK
-        flights, counts = believable(room, newest, flights)
-        goals, likelihood = goals_among(room, flights, counts, config.batch)
-        return Proposal(_prediction(flights, counts, offsets), Draws(np.asarray(goals), np.log(likelihood)), note)
+        return flights_proposal(config, room, newest, flights, note)
 
     return propose
 
 
-def even_randoms() -> tuple[Float[np.ndarray, "p"], Float[np.ndarray, "p r"]]:
+def flights_proposal(
+    config: PredictionConfig,
+    room: World | None,
+    newest: Float[AnyArray, "3"],
+    flights: Float[AnyArray, "n s 3"],
+    note: Note,
+) -> Proposal:
+    """What particles that come from ``newest`` [m, world] propose in a room (host)."""
+    stopped, counts = believable(room, jnp.asarray(newest), jnp.asarray(flights))
+    goals, likelihood = goals_among(room, stopped, counts, config.batch)
+    return Proposal(_prediction(stopped, counts, config.offsets), Draws(np.asarray(goals), np.log(likelihood)), note)
+
+
+def even_randoms(normals: int = MODES) -> tuple[Float[np.ndarray, "p"], Float[np.ndarray, "p r"]]:
     """Uniform and standard normal numbers for ``PARTICLES``, any first ones of which are spread evenly."""
-    points = qmc.Sobol(1 + MODES, rng=0).random(PARTICLES)
+    points = qmc.Sobol(1 + normals, rng=0).random(PARTICLES)
     return points[:, 0], ndtri(points[:, 1:])
 
 

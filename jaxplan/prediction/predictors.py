@@ -12,6 +12,8 @@ from jaxtyping import Array, Float
 
 from jaxplan.errors import InputError
 from jaxplan.precision import in_float64
+from jaxplan.prediction.fusion import fused_proposer
+from jaxplan.prediction.imm_flights import imm_proposer
 from jaxplan.prediction.kinematic import constant_acceleration, constant_velocity
 from jaxplan.prediction.mixture import Prediction, density_terms, draw, draw_randoms, log_density
 from jaxplan.prediction.mixture_predictor import mixture_proposer
@@ -162,6 +164,16 @@ def _particles(config: PredictionConfig, sources: Sources) -> Proposer:
     return particle_proposer(config, sources.mixture(config.dt), sources.world)
 
 
+def _imm(config: PredictionConfig, sources: Sources) -> Proposer:
+    """Where the flights of an interacting-multiple-model filter go that hit nothing."""
+    return imm_proposer(config, sources.world)
+
+
+def _fused(config: PredictionConfig, sources: Sources) -> Proposer:
+    """Flights of the mixture and of the filter, as many of each as they have deserved."""
+    return fused_proposer(config, sources.mixture(config.dt), sources.world)
+
+
 PREDICTORS: Mapping[str, PredictorKind] = {
     "none": PredictorKind(_none),
     "ground-truth": PredictorKind(_ground_truth),
@@ -170,6 +182,8 @@ PREDICTORS: Mapping[str, PredictorKind] = {
     "constant-acceleration": PredictorKind(_constant_acceleration),
     "gmm": PredictorKind(_gmm, sampling=True, learned=True),
     "particles": PredictorKind(_particles, sampling=True, learned=True),
+    "imm": PredictorKind(_imm, sampling=True),
+    "fused": PredictorKind(_fused, sampling=True, learned=True),
 }
 """By the name that ``--predictor`` takes, in the order of ``jaxplan.config.PREDICTORS``."""
 

@@ -44,9 +44,13 @@ class PredictionConfig:
     """sigma_pred [m]: step i of the noisy prediction has the variance i * sigma^2."""
     lost_after: float = 1.0
     """Seconds of silence after which a target counts as lost (arbitrary)."""
+    noise: float | None = None
+    """Standard deviation [m] of an observed position, for ``imm`` and ``fused``; None: they find it themselves."""
 
     def __post_init__(self) -> None:
         require_at_least("prediction", self, 1, "steps", "batch", "observations")
+        if self.noise is not None:
+            require_positive("prediction", self, "noise")
         require_positive("prediction", self, "dt", "sigma", "lost_after")
 
     @classmethod

@@ -57,16 +57,29 @@ class TargetModel:
         """Coordinates that are observed."""
         return 3 * (self.observations - 1) + (0 if self.bounds is None else 3)
 
-    def conditional(self, seen: int | None = None) -> ConditionalMixture:
+    def conditional(self, seen: int | None = None, noise: float = 0.0) -> ConditionalMixture:
         """The mixture made ready for conditioning on the newest ``seen`` positions of a window; None: on all.
 
-        What a window has in the place of the others does not count, so that programs are the same for all.
+        What a window has in the place of the others does not count, so that programs are the same for all. ``noise``
+        is the standard deviation [m] of the positions that will be seen, on top of what the mixture learned with.
         """
         counts = np.arange(self.observations - 1) >= self.observations - (self.observations if seen is None else seen)
         coordinates = np.repeat(counts, 3)
         if self.bounds is not None:
             coordinates = np.append(np.ones(3, bool), coordinates)
-        return conditional_mixture(self.weights, self.means, self.factors, self.observed, coordinates)
+        factors = self.factors
+        if noise > 0.0:
+            effect = noise * self._effect_of_noise()
+            factors = np.linalg.cholesky(factors @ np.swapaxes(factors, -1, -2) + effect @ effect.T)
+        return conditional_mixture(self.weights, self.means, factors, self.observed, coordinates)
+
+    def _effect_of_noise(self) -> Float[np.ndarray, "d n"]:
+        """What errors of the observed positions do to a window's coordinates: all are relative to the newest one."""
+        others = np.eye(self.observations + self.steps, self.observations)
+        others[self.observations :] = 0.0
+        relative = np.delete(others, self.observations - 1, axis=0) - others[self.observations - 1]
+        anchor = others[self.observations - 1 : self.observations] if self.bounds is not None else others[:0]
+        return np.kron(np.concatenate([anchor, relative]), np.eye(3))
 
 
 def window_coordinates(

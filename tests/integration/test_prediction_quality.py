@@ -7,7 +7,8 @@ import pytest
 
 from benchmarks import bench_prediction
 from experiments.figures.prediction import draw_predictions
-from experiments.prediction_comparison import as_markdown, panels, recorded_windows, rows_of, stored_windows
+from experiments.prediction_comparison import AHEAD, as_markdown, panels, rows_of
+from experiments.prediction_windows import recorded_windows, stored_windows
 from jaxplan import interception
 from jaxplan.config import InterceptConfig
 from jaxplan.prediction.protocol import PredictionConfig
@@ -41,11 +42,11 @@ def test_recorded_flights_are_predicted(examples):
 
 def test_the_table_and_the_picture(tmp_path):
     rows = [{"column": "env1", "predictor": "none", "windows": 3, "ade_m": 1.0, "fde_m": 2.0, "nll": None}]
-    rows[0] |= {"coverage_50": None, "coverage_90": None, "ms": 0.1}
+    rows[0] |= {"coverage_50": None, "coverage_90": None, "ms": 0.1} | {f"error_{at:g}s_m": at for at in AHEAD}
     assert "| ADE / FDE [m] | env1 (3) | ms |\n|---|---|---|\n| none | 1.00 / 2.00 | 0.10 |" in as_markdown(rows)
     assert "| none | - / - / - | 0.10 |" in as_markdown(rows)
     shown = list(panels("env1"))
-    assert [len(panel.goals) for panel in shown] == [20, 20, 400, 400, 400]
+    assert [len(panel.goals) for panel in shown] == [20, 20, 400, 400, 400, 400]
     assert all(panel.usable.any() for panel in shown)
     draw_predictions([(load_world("env1"), shown)], tmp_path / "p.png")
     assert (tmp_path / "p.png").stat().st_size > 20_000

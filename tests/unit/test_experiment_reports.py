@@ -13,18 +13,21 @@ from experiments import (
     faults,
     plan_audit,
     policy_comparison,
+    prediction_comparison,
     scale_factor,
     table1,
     table2,
     trajectories,
     vehicles,
 )
+from experiments.prediction_windows import as_seen
 from experiments.reference_times_report import stored_references
 from experiments.table1_report import PAPER, by_cell, report
 from jaxplan import cli
 from jaxplan import config as intercept
 from jaxplan.errors import FileError, IncompleteError, InputError, ResourceError
 from jaxplan.minsnap.single import minimum_snap
+from jaxplan.prediction.observations import Observations
 from jaxplan.runner.definition import Results
 from jaxplan.runner.registry import experiment_names, load_experiment
 from jaxplan.spline import PiecewisePolynomial
@@ -37,6 +40,30 @@ def test_what_the_tables_compare_is_what_an_interception_can_choose() -> None:
     assert (*intercept.PLANNERS, "profile", "optimiser", "pursuit", "navigation") == closed_loop.PLANNERS
     assert set(closed_loop.PLANNERS) - set(closed_loop.compared_planners()) == {"profile"}
     assert closed_loop.LEARNED == ("pretrained", "mfrl")
+
+
+def test_predictors_are_compared_on_every_flight_with_every_noise() -> None:
+    config = prediction_comparison.Config(windows=20, noises=(0.0, 0.2), fast=(6.0,))
+    titles = [item.name for item in prediction_comparison.items(config)]
+    assert titles[:2] == ["env1", "env1, 0.2 m"]
+    assert len(titles) == len(set(titles)) == 10
+    assert "env2 at 6 m/s, 0.2 m" in titles
+    for wrong in ({"noises": (-0.1,)}, {"noises": ()}, {"dropouts": 1.0}, {"fast": (0.0,)}, {"noises": (np.nan,)}):
+        with pytest.raises(InputError, match="--"):
+            prediction_comparison.Config(**wrong)
+
+
+def test_what_is_not_seen_is_interpolated_and_the_newest_is_always_there() -> None:
+    times = 0.1 * np.arange(10)
+    line = Observations(times=times, positions=times[:, None] * np.array([3.0, -1.0, 0.5]))
+    rng, counts = np.random.default_rng(0), []
+    for seen in as_seen([line] * 50, 0.0, 0.5, rng):
+        counts.append(len(seen.times))
+        np.testing.assert_allclose(seen.times, times[-counts[-1] :])
+        np.testing.assert_allclose(seen.positions, line.positions[-counts[-1] :], **tolerance("formula"))
+    assert 1 <= min(counts) < 10 == max(counts)
+    noisy = np.array([one.positions for one in as_seen([line] * 500, 0.2, 0.0, rng)]) - line.positions
+    assert noisy.std() == pytest.approx(0.2, rel=0.02)
 
 
 def test_a_vehicle_of_ones_own_flies_the_experiments(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.prediction_comparison import stored_windows
+from experiments.prediction_windows import stored_windows
 from jaxplan.prediction.mixture import MODES, conditional_mixture, covariance_factors
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.particles import (

@@ -1,0 +1,192 @@
+"""Whole flights of the target from an interacting-multiple-model filter, and the predictor that proposes them.
+
+A particle has a mode, a state drawn from what that mode believes, and goes on as the mode does, with noise: straight,
+with an acceleration that fades, or in a turn. The noise of a whole flight has three numbers for each axis, the weights
+of the slowest three cosines in white noise; what is faster hardly moves a position. As in
+``jaxplan.prediction.particles``, random numbers are the same in every cycle and nobody flies through walls.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxplan.arrays import AnyArray
+from jaxplan.numerics import safe_norm
+from jaxplan.precision import in_float64
+from jaxplan.prediction.imm import NOISE_LEVELS, NOISE_SHARES, Belief, track
+from jaxplan.prediction.imm_motions import (
+    FADING,
+    MODES,
+    STRAIGHT,
+    TURN,
+    USUAL_MOTION,
+    MotionConfig,
+    liveliness,
+    turn_motion,
+    turn_rate,
+)
+from jaxplan.prediction.observations import Observations
+from jaxplan.prediction.particles import even_randoms, flights_proposal
+from jaxplan.prediction.protocol import PredictionConfig, Proposal, Proposer
+from jaxplan.records import replace
+from jaxplan.status import Note
+from jaxplan.world.clearance import free_distance
+from jaxplan.world.obstacles import World
+
+RANDOMS = 19
+"""Normal numbers of a particle: nine for its state, nine for its noise, and one that ``fused`` chooses by."""
+_COSINES = 3
+_GRID = 40
+"""Intervals in which the noise of a flight is summed up."""
+_LARGEST = 1.5
+"""Times ``max_acceleration`` that a particle accelerates at most."""
+_START_CLEARANCE = 0.05
+"""m: a target that was seen inside something is put so far in front of it."""
+_PUSHES = 8
+
+
+class Filters:
+    """The filters of a configuration: the levels of noise, and windows padded to one length."""
+
+    def __init__(self, config: PredictionConfig) -> None:
+        self._config = config
+        self.noise = (
+            (np.array(NOISE_LEVELS), np.log(NOISE_SHARES))
+            if config.noise is None
+            else (np.array([config.noise]), np.zeros(1))
+        )
+        """Levels [m], and the logarithms of their shares."""
+
+    def newest(self, observations: Observations) -> Observations:
+        """What is looked at of the observations."""
+        length = self._config.observations
+        return replace(observations, times=observations.times[-length:], positions=observations.positions[-length:])
+
+    def window(
+        self, recent: Observations
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"], Int[np.ndarray, ""]]:
+        """Gaps [s], positions [m, world] and the number of the ``newest`` positions (host)."""
+        length, count = self._config.observations, len(recent.times)
+        gaps, padded = np.full(length, self._config.dt), np.repeat(recent.positions[:1], length, axis=0)
+        padded[length - count :] = recent.positions
+        gaps[length - count + 1 :] = np.diff(recent.times)
+        return gaps, padded, np.array(count)
+
+
+def imm_proposer(config: PredictionConfig, world: World | None, motion: MotionConfig = USUAL_MOTION) -> Proposer:
+    """Flights of the filter that hit nothing, for any number of positions at whatever times."""
+    filters, offsets = Filters(config), config.offsets
+    randoms = even_randoms(RANDOMS)
+    room = None if world is None else in_float64(jax.device_put)(world)
+
+    @in_float64
+    def propose(observations: Observations, rng: np.random.Generator) -> Proposal:
+        window = filters.window(filters.newest(observations))
+        start, flights = _filtered(motion, room, filters.noise, window, offsets, randoms)
+        return flights_proposal(config, room, start, flights, Note(0))
+
+    return propose
+
+
+def filter_flights(
+    config: MotionConfig,
+    belief: Belief,
+    offsets: Float[AnyArray, "s"],
+    uniform: Float[AnyArray, "n"],
+    normal: Float[AnyArray, "n r"],
+) -> Float[Array, "n s 3"]:
+    """Particles [m, world] from a belief, pure JAX.
+
+    Args:
+        config: what a plausible target is.
+        belief: of the filters, at the newest position.
+        offsets: times from then [s], even.
+        uniform, normal: numbers in [0, 1) that choose level and mode, and at least 18 standard normal ones each.
+    """
+    shares = jnp.cumsum(belief.shares.reshape(-1))
+    chosen = (jnp.asarray(uniform)[:, None] * shares[-1] >= shares[None, :-1]).sum(axis=1)
+    mode: Int[Array, "n"] = chosen % MODES
+    factors = _factors(jnp.asarray(belief.covariances).reshape(-1, 3, 3))[chosen]
+    normals = jnp.asarray(normal)[:, :18].reshape(-1, 2, 3, 3)
+    state = jnp.asarray(belief.means).reshape(-1, 3, 3)[chosen]
+    state = state + (factors[:, :, :, None] * normals[:, 0, None]).sum(axis=2)
+    position, velocity, acceleration = state[:, 0], state[:, 1], state[:, 2]
+    size = safe_norm(acceleration, keepdims=True)
+    acceleration = acceleration * jnp.minimum(1.0, _LARGEST * config.max_acceleration / jnp.maximum(size, 1e-9))
+    speed = safe_norm(velocity)
+    fading, times = liveliness(config, speed).fading[:, None], jnp.asarray(offsets)[None]
+    turned = turn_motion(times, turn_rate(config, velocity, acceleration)[:, None])
+    bent = jnp.where((mode == FADING)[:, None], fading * (times + fading * jnp.expm1(-times / fading)), 0.0)
+    bent = jnp.where((mode == TURN)[:, None], turned[:, :, 0, 2], bent)
+    onwards = jnp.where((mode == TURN)[:, None], turned[:, :, 0, 1], times)
+    mean = position[:, None] + onwards[..., None] * velocity[:, None] + bent[..., None] * acceleration[:, None]
+    moved = _noise_response(config, jnp.asarray(offsets), mode, speed)
+    flights: Float[Array, "n s 3"] = mean + (moved[..., None] * normals[:, 1, None]).sum(axis=2)
+    return flights
+
+
+def outside_of_things(world: World | None, position: Float[AnyArray, "3"]) -> Float[Array, "3"]:
+    """The place itself, or where something is in the way or the room ends, one close by where it is not."""
+    place = jnp.asarray(position)
+    if world is None:
+        return place
+    distance = jax.value_and_grad(lambda point: free_distance(world, point))
+
+    def push(_: Int[Array, ""], point: Float[Array, "3"]) -> Float[Array, "3"]:
+        free, away = distance(point)
+        moved = point + (_START_CLEARANCE - free) * away / jnp.maximum((away * away).sum(), 0.1)
+        return jnp.where(free < 0.5 * _START_CLEARANCE, moved, point)
+
+    return jax.lax.fori_loop(0, _PUSHES, push, place)
+
+
+def believed_position(belief: Belief) -> Float[Array, "3"]:
+    """Mean position [m, world]."""
+    return (belief.shares[..., None] * belief.means[..., 0, :]).sum(axis=(0, 1))
+
+
+@jax.jit(static_argnums=0)
+def _filtered(
+    motion: MotionConfig,
+    room: World | None,
+    noise: tuple[Float[Array, "l"], Float[Array, "l"]],
+    window: tuple[Float[Array, "n"], Float[Array, "n 3"], Int[Array, ""]],
+    offsets: Float[Array, "s"],
+    randoms: tuple[Float[Array, "p"], Float[Array, "p r"]],
+) -> tuple[Float[Array, "3"], Float[Array, "p s 3"]]:
+    """Where the target is, and its flights."""
+    belief = jax.tree.map(lambda leaf: leaf[-1], track(motion, *noise, *window))
+    return outside_of_things(room, believed_position(belief)), filter_flights(motion, belief, offsets, *randoms)
+
+
+def _noise_response(
+    config: MotionConfig, offsets: Float[Array, "s"], mode: Int[Array, "n"], speed: Float[Array, "n"]
+) -> Float[Array, "n s c"]:
+    """Metres that a unit of each cosine in a mode's white noise has moved each particle."""
+    horizon, expected = offsets[-1], liveliness(config, speed)
+    grid = (np.arange(_GRID) + 0.5) / _GRID
+    waves = np.cos(np.pi * grid[:, None] * np.arange(_COSINES)) * np.where(np.arange(_COSINES) == 0, 1.0, np.sqrt(2.0))
+    weights = waves * jnp.sqrt(horizon) / _GRID
+    lag = jnp.maximum(offsets[:, None] - horizon * grid[None], 0.0)[None]
+    fading = expected.fading[:, None, None]
+    responses = (lag, fading * (lag + fading * jnp.expm1(-lag / fading)), 0.5 * lag**2)
+    sizes = expected.noises(config)
+    moved = jnp.zeros((len(speed), len(offsets), _COSINES))
+    for which in (STRAIGHT, FADING, TURN):
+        one = sizes[which][:, None, None] * jnp.tensordot(responses[which], weights, 1)
+        moved = jnp.where((mode == which)[:, None, None], one, moved)
+    return moved
+
+
+def _factors(covariances: Float[Array, "k 3 3"]) -> Float[Array, "k 3 3"]:
+    """Lower triangular factors; what rounding has made negative on the diagonal counts as 0."""
+    a, tiny = covariances, 1e-12
+    first = jnp.sqrt(jnp.maximum(a[:, 0, 0], tiny))
+    second, third = a[:, 1, 0] / first, a[:, 2, 0] / first
+    middle = jnp.sqrt(jnp.maximum(a[:, 1, 1] - second**2, tiny))
+    low = (a[:, 2, 1] - second * third) / middle
+    last = jnp.sqrt(jnp.maximum(a[:, 2, 2] - third**2 - low**2, tiny))
+    zero = jnp.zeros_like(first)
+    rows = (first, zero, zero), (second, middle, zero), (third, low, last)
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
