@@ -10,6 +10,8 @@ from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes
 from jaxplan.world.obstacles import World
 
+from .named_world import NamedWorld, named
+
 PADDING, REACHED = 0.5, 0.3
 """m; that paths keep from obstacles, and from which on a corner counts as turned."""
 
@@ -18,7 +20,7 @@ Aim = Callable[[Float[np.ndarray, "3"], Float[np.ndarray, "3"]], Float[np.ndarra
 
 def around_obstacles(world: World) -> Aim:
     """For a place and a target [m, world] the next corner on the way; None where nothing is in between, or no way."""
-    lattices = _lattices(_Named(world))
+    lattices = _lattices(named(world))
 
     def aim(place: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"] | None:
         apart = float(np.linalg.norm(target - place))
@@ -30,19 +32,6 @@ def around_obstacles(world: World) -> Aim:
     return aim
 
 
-class _Named:
-    """A world that caches can tell by its name."""
-
-    def __init__(self, world: World) -> None:
-        self.world = world
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Named) and other.world.name == self.world.name
-
-    def __hash__(self) -> int:
-        return hash(self.world.name)
-
-
 @functools.lru_cache(maxsize=4)
-def _lattices(named: _Named) -> Lattices:
-    return build_lattices(named.world, SearchConfig(padding=PADDING))
+def _lattices(room: NamedWorld) -> Lattices:
+    return build_lattices(room.world, SearchConfig(padding=PADDING))

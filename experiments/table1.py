@@ -29,6 +29,8 @@ SPEEDS = tuple(float(speed) for speed in np.round(np.linspace(0.5, 5.5, 10), 4))
 (docs/decisions/0012-experiments.md)."""
 DEPARTURES = tuple(float(time) for time in np.round(np.linspace(0.5, 2.5, 10), 4))
 """s."""
+COMPARED = tuple(name for name in PREDICTORS if name not in ("imm", "fused"))
+"""Predictors of the presets."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -39,8 +41,9 @@ class Config:
     """Who allots the times: no-policy, pretrained, mfrl, profile, optimiser; or pursuit, navigation, which plan
     nothing."""
 
-    predictors: tuple[str, ...] = PREDICTORS
-    """What is known of the target's future; noisy-S has the standard deviation S [m] after one step."""
+    predictors: tuple[str, ...] = COMPARED
+    """What is known of the target's future; noisy-S has the standard deviation S [m] after one step. imm and fused are
+    for targets that are seen badly: name them."""
 
     worlds: tuple[str, ...] = ENVIRONMENTS
     """Stored worlds."""

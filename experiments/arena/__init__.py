@@ -33,7 +33,7 @@ from .families import FAMILIES, LEVELS, Case, case
 from .report import report
 
 USUAL = ("reference", "navigation", "fast-navigation", "routed-navigation")
-USUAL += ("mfrl/ground-truth", "mfrl/particles", "mfrl/gmm", "mfrl/constant-velocity", "no-policy/particles")
+USUAL += ("mfrl/ground-truth", "mfrl/particles", "mfrl/fused", "mfrl/gmm", "mfrl/constant-velocity")
 """Contestants of the presets; mpc needs the extra ``peers``."""
 SHORT = ReferenceConfig(segments=6, starts=4, rounds=5)
 """How much the reference tries: about 4 s a target."""

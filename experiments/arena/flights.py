@@ -16,6 +16,8 @@ from jaxplan.training.worlds import BOXES, CYLINDERS, FAR, SPHERES
 from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.obstacles import Cylinders, Spheres, World, aligned_boxes, make_obstacles
 
+from ..named_world import NamedWorld, named
+
 CLEARANCE = 0.5
 """m from everything that targets keep: goals nearer to obstacles are not flown to."""
 LENGTH = 20.0
@@ -38,11 +40,19 @@ class _Piece(NamedTuple):
     positions: Float[np.ndarray, "n 3"]
 
 
+def long_flight(world: World, speed: float, seed: int) -> Target:
+    """A smooth flight through random free places, of a given maximum speed [m/s]; the same for the same seed.
+
+    Raises ``InputError`` where the room has none.
+    """
+    return _drawn(named(world), speed, seed)
+
+
 @functools.lru_cache(maxsize=64)
-def _drawn(key: tuple[str, float, int], hold: "_Room") -> Target:
-    name, speed, seed = key
+def _drawn(room: NamedWorld, speed: float, seed: int) -> Target:
+    name, world = room.name, room.world
     rng = np.random.default_rng((seed, int(1000 * speed)))
-    source = chains(hold.world, ChainConfig(waypoints=WAYPOINTS, margin=CLEARANCE + 0.1, ahead=0.6))
+    source = chains(world, ChainConfig(waypoints=WAYPOINTS, margin=CLEARANCE + 0.1, ahead=0.6))
     for _ in range(TRIES):
         waypoints = source(rng)
         durations = np.maximum(np.linalg.norm(np.diff(waypoints, axis=0), axis=1), 1e-3)
@@ -50,34 +60,13 @@ def _drawn(key: tuple[str, float, int], hold: "_Room") -> Target:
         initial[0] = (waypoints[1] - waypoints[0]) / durations[0]
         splines = minimum_snap_batch(waypoints, durations, initial=initial).splines
         for place in range(waypoints.shape[-1]):
-            piece = _longest_clear(hold.world, *splines.spline(place).sample(SAMPLES))
+            piece = _longest_clear(world, *splines.spline(place).sample(SAMPLES))
             target = None if piece is None else _scaled(f"{name}-{seed}", piece, speed)
             if target is not None:
                 return target
     raise InputError(
         f"arena: no flight of {LENGTH:g} m at {speed:g} m/s fits into world {name!r}; choose a roomier one"
     )
-
-
-class _Room:
-    """A world that caches can tell by its name."""
-
-    def __init__(self, world: World) -> None:
-        self.world = world
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Room) and other.world.name == self.world.name
-
-    def __hash__(self) -> int:
-        return hash(self.world.name)
-
-
-def long_flight(world: World, speed: float, seed: int) -> Target:
-    """A smooth flight through random free places, of a given maximum speed [m/s]; the same for the same seed.
-
-    Raises ``InputError`` where the room has none.
-    """
-    return _drawn((world.name, speed, seed), _Room(world))
 
 
 def _longest_clear(world: World, times: Float[np.ndarray, "n"], states: Float[np.ndarray, "n 4"]) -> _Piece | None:
