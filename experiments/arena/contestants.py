@@ -1,10 +1,7 @@
 """Who flies in the arena: our planners with a predictor each, laws that plan nothing, and the offline reference.
 
-A contestant is a name and a function that builds what stands where a ``Replanner`` stands in an episode. Your own:
-
-    from experiments.arena.contestants import CONTESTANTS, Contestant
-
-    CONTESTANTS["mine"] = Contestant(lambda scenario, case: MyGuide(scenario.start), planner="no-policy")
+A contestant is a name and a function that builds what stands where a ``Replanner`` stands in an episode; docs/arena.md
+adds one.
 """
 
 import dataclasses

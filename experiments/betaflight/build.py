@@ -19,7 +19,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jaxplan.errors import FileError, ResourceError
-from jaxplan.search.store import FOLDER_VARIABLE, cache_folder
+from jaxplan.files import FOLDER_VARIABLE
+from jaxplan.search.store import cache_folder
 
 PACKAGE, VERSION = "betaflight", "0.0.6"
 """On the package index: sources of Betaflight 4.6.0 with a simulator's wrapper, which is not used."""

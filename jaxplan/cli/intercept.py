@@ -14,7 +14,7 @@ from jaxplan.cli.cache import use_cache
 from jaxplan.cli.progress import progress_bar
 from jaxplan.config import InterceptConfig
 from jaxplan.errors import FileError, InputError
-from jaxplan.names import require_target, require_vehicle, require_weights, require_world
+from jaxplan.names import require_target, require_vehicle, require_weights, require_world, stored_targets
 from jaxplan.versions import require_supported_jax
 
 if TYPE_CHECKING:
@@ -89,7 +89,8 @@ def _require_names(config: InterceptConfig) -> None:
     """Raise what the loaders would raise for names that there are not, before anything slow is imported."""
     require_world(config.world)
     require_vehicle(config.vehicle)
-    require_target(config.target, config.world)
+    if config.target is not None or stored_targets(config.world):  # else the world's file is read first
+        require_target(config.target, config.world)
     for kind, source in (("policy", config.policy), ("classifier", config.classifier)):
         if source is not None:
             require_weights(source, kind)
