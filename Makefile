@@ -14,7 +14,7 @@ JAX_TESTS = $(wildcard tests/unit/test_minsnap_*.py tests/unit/test_spline*.py t
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-jax test-slow test-docs test-firmware check format bench docs examples release-check clean
+.PHONY: help demo test test-jax test-slow test-docs test-browser test-firmware check format bench docs examples release-check clean
 
 help:
 	@echo "make demo       install, fly one interception, draw it (under 5 minutes)"
@@ -22,6 +22,7 @@ help:
 	@echo "make test-jax   those of them that touch JAX and MJX"
 	@echo "make test-slow  the slow tests"
 	@echo "make test-firmware  build Betaflight's simulator from the package index and fly it (docs/firmware.md)"
+	@echo "make test-browser  the page of a replay in Chromium"
 	@echo "make check      ruff and mypy"
 	@echo "make format     let ruff rewrite what it can"
 	@echo "make bench      the benchmarks, into benchmarks/results/"
@@ -63,6 +64,10 @@ test-jax: $(VENV)/.installed-dev
 
 test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m "slow and not gpu and not firmware" $(PYTEST_ARGS)
+
+# Needs Chromium; skipped visibly without.
+test-browser: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -m slow tests/unit/test_viz_page.py
 
 # One process; what is built stays in the user's cache.
 test-firmware: $(VENV)/.installed-dev
