@@ -16,6 +16,7 @@ import numpy as np
 from jaxplan import interception
 from jaxplan.errors import InputError
 from jaxplan.interception import INTERCEPTION_RADIUS, Episode
+from jaxplan.names import meant
 from jaxplan.planner import Planner
 from jaxplan.reference.flight import Judge
 from jaxplan.reference.soonest import Interception, ReferenceConfig, soonest
@@ -69,7 +70,8 @@ class Config:
             wrong = [name for name in names if name not in known]
             if wrong or not names or len(set(names)) != len(names):
                 have = wrong[0] if wrong else names
-                raise InputError(f"--{kind}: have {have!r}, want some of {', '.join(map(str, known))}, each once")
+                near = meant(str(have), [str(name) for name in known])
+                raise InputError(f"--{kind}: have {have!r}, want some of {', '.join(map(str, known))}, each once{near}")
         if not self.contestants or len(set(self.contestants)) != len(self.contestants):
             raise InputError(f"--contestants: have {self.contestants}, want at least one, each once")
         for name in self.contestants:

@@ -10,6 +10,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 from jaxplan.config import WITH_MODEL
 from jaxplan.errors import InputError
 from jaxplan.interception import Guide
+from jaxplan.names import meant
 from jaxplan.prediction.predictors import PREDICTORS, build_predictor
 from jaxplan.prediction.protocol import PredictionConfig, Predictor
 from jaxplan.prediction.target_model import TargetModel, shipped_model
@@ -76,11 +77,13 @@ def contestant(name: str) -> Contestant:
     if name in CONTESTANTS:
         return CONTESTANTS[name]
     planner, _, predictor = name.partition("/")
-    if planner not in available_planners() or predictor not in PREDICTORS:
-        known = ", ".join((REFERENCE, *CONTESTANTS))
+    if planner in LAWS or planner not in available_planners() or predictor not in PREDICTORS:
+        planners = [own for own in available_planners() if own not in LAWS]
+        known = [REFERENCE, *CONTESTANTS]
+        ours = [f"{one}/{other}" for one in planners for other in PREDICTORS]
         raise InputError(
-            f"--contestants: have {name!r}, want one of {known}, or PLANNER/PREDICTOR of "
-            f"{', '.join(available_planners())} and {', '.join(PREDICTORS)}"
+            f"--contestants: have {name!r}, want one of {', '.join(known)}, or PLANNER/PREDICTOR of "
+            f"{', '.join(planners)} and {', '.join(PREDICTORS)}{meant(name, [*known, *ours])}"
         )
 
     def build(scenario: Scenario, case: Case) -> Guide:

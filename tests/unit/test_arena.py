@@ -218,10 +218,11 @@ def test_the_point_mass_controller_solves_its_programs_and_reaches_a_target() ->
 
 def test_names_that_nobody_has_are_refused() -> None:
     for wrong, match in (
-        ({"families": ("stored", "sored")}, "--families: have 'sored'"),
+        ({"families": ("stored", "sored")}, "--families: have 'sored'.*did you mean 'stored'"),
         ({"levels": (4,)}, "--levels: have 4"),
         ({"contestants": ("mfrl",)}, "--contestants: have 'mfrl'"),
-        ({"contestants": ("mfrl/psychic",)}, "--contestants: have 'mfrl/psychic'"),
+        ({"contestants": ("mfrl/partcles",)}, "--contestants: have 'mfrl/partcles'.*did you mean 'mfrl/particles'"),
+        ({"contestants": ("pursuit/gmm",)}, "--contestants: have 'pursuit/gmm'"),
         ({"episodes": 0}, "--episodes"),
         ({"families": ("recorded",)}, "--recordings"),
     ):
