@@ -121,7 +121,10 @@ def use(interpreter: str, file: Path) -> None:
         where = "import jaxplan, pathlib, sys; assert sys.prefix in str(pathlib.Path(jaxplan.__file__))"
         run([str(python), "-c", where], cwd=here, env=clean)
         run([str(place / "venv" / "bin" / "jaxplan"), "intercept", "--require-success"], cwd=here, env=clean)
-        pages = pages_with_code() if file.suffix == ".whl" else [ROOT / "README.md"]
+        pages = [ROOT / "README.md"]
+        if file.suffix == ".whl":  # all pages, one of which streams
+            run([str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet", f"{file}[mavlink]"])
+            pages = pages_with_code()
         for page in pages:
             run([str(python), "-c", code_of_page(page)], cwd=here, env=clean, name=page.relative_to(ROOT).as_posix())
 
