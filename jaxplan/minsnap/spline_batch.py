@@ -59,6 +59,20 @@ class SplineBatch:
         turns = [horner(yaw, s, duration, derivative) for derivative in range(3)]
         return FlatStateBatch(derivatives=jnp.stack(rows), yaw=jnp.stack(turns))
 
+    def positions(self, times: Float[Array, "u"]) -> Float[Array, "u 3 k"]:
+        """Where each spline is [m, world] at the same ``times`` [s from the start], at rest where it ends."""
+        ends = jnp.cumsum(self.durations, axis=0)
+        last = jnp.maximum(jnp.sum(self.durations > 0.0, axis=0) - 1, 0)
+        segment = jnp.minimum(jnp.sum(times[:, None, None] >= ends[None], axis=1), last[None])
+        begun = jnp.take_along_axis(ends - self.durations, segment, axis=0)
+        s = jnp.clip((times[:, None] - begun) * jnp.take_along_axis(self.rate(), segment, axis=0), 0.0, 1.0)
+        flat = jnp.moveaxis(self.position.reshape(self.position.shape[0], -1, self.position.shape[-1]), 0, 1)
+        found = jnp.take_along_axis(flat, segment[None], axis=1).reshape(*self.position.shape[1:3], *s.shape)
+        value = found[-1]
+        for power in range(len(found) - 2, -1, -1):
+            value = value * s[None] + found[power]
+        return jnp.moveaxis(value, 0, 1)
+
     def _coefficients(
         self, segment: Int[Array, "p k"]
     ) -> tuple[list[Float[Array, "3 p k"]], list[Float[Array, "p k"]]]:

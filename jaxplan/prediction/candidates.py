@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float, UInt32
 
 from jaxplan.arrays import AnyArray
+from jaxplan.prediction.futures import Futures
 from jaxplan.records import record, replace, static
 from jaxplan.status import Reason, bit
 from jaxplan.validation import as_shaped
@@ -28,6 +29,8 @@ class Candidates:
     """Why a candidate cannot be used, as ``jaxplan.status.Reason``; 0: it can."""
     target: Float[AnyArray, "3"]
     """Where the target was last seen [m, world]; its distance chooses the search lattice."""
+    futures: Futures | None = None
+    """The target's possible motions, where they are known as a whole; their times count as ``arrival_times`` do."""
     note: int = static(default=0)
     """What deserves mention about all of them, as ``jaxplan.status.Note``."""
 
@@ -63,6 +66,14 @@ def candidates_from(
         reasons=np.where(np.isfinite(goals).all(axis=1), np.uint32(0), np.uint32(Reason.NONFINITE)),
         target=target,
     )
+
+
+def later(candidates: Candidates, seconds: float) -> Candidates:
+    """The same in times that count from ``seconds`` later on (host)."""
+    futures = candidates.futures
+    if futures is not None:
+        futures = replace(futures, times=np.asarray(futures.times) - seconds)
+    return replace(candidates, arrival_times=np.asarray(candidates.arrival_times) - seconds, futures=futures)
 
 
 def target_velocities(candidates: Candidates) -> Float[np.ndarray, "k 3"]:

@@ -22,7 +22,7 @@ from jaxplan.prediction.imm_motions import USUAL_MOTION, MotionConfig
 from jaxplan.prediction.mixture import MODES, ConditionalMixture, condition
 from jaxplan.prediction.mixture_predictor import LEAST_SEEN, WindowMixture
 from jaxplan.prediction.observations import Observations
-from jaxplan.prediction.particles import even_randoms, flights_proposal, mixture_flights
+from jaxplan.prediction.particles import even_randoms, fastest_seen, flights_proposal, mixture_flights
 from jaxplan.prediction.protocol import PredictionConfig, Proposal, Proposer
 from jaxplan.prediction.target_model import TargetModel
 from jaxplan.status import Note
@@ -64,15 +64,17 @@ def fused_proposer(
         start, flights, levels, foreseen = _filtered(
             motion, most, room, filters.noise, filters.window(recent), np.array(held), offsets, (uniform, normal)
         )
+        fastest = fastest_seen(observations, config)
         noise = noises[int(np.argmax(levels))]
         given = mixture.given(recent, noise)
         if given is None:
-            return flights_proposal(config, room, start, flights, Note.PREDICTOR_FALLBACK)
+            return flights_proposal(config, room, start, flights, Note.PREDICTOR_FALLBACK, fastest)
         learned, distance = mixture_flights(*given, uniform, normal)
         log_odds = _log_odds(mixture, recent, held, noise, float(distance), np.asarray(foreseen))
         chosen = np.where((choice < 1.0 / (1.0 + np.exp(-log_odds)))[:, None, None], learned, flights)
         unusual = mixture.is_unusual(recent, float(distance))
-        return flights_proposal(config, room, start, chosen, Note.PREDICTOR_FALLBACK if unusual else Note(0))
+        note = Note.PREDICTOR_FALLBACK if unusual else Note(0)
+        return flights_proposal(config, room, start, chosen, note, fastest)
 
     return propose
 

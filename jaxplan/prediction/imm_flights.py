@@ -27,7 +27,7 @@ from jaxplan.prediction.imm_motions import (
     turn_rate,
 )
 from jaxplan.prediction.observations import Observations
-from jaxplan.prediction.particles import even_randoms, flights_proposal
+from jaxplan.prediction.particles import even_randoms, fastest_seen, flights_proposal
 from jaxplan.prediction.protocol import PredictionConfig, Proposal, Proposer
 from jaxplan.records import replace
 from jaxplan.status import Note
@@ -84,7 +84,7 @@ def imm_proposer(config: PredictionConfig, world: World | None, motion: MotionCo
     def propose(observations: Observations, rng: np.random.Generator) -> Proposal:
         window = filters.window(filters.newest(observations))
         start, flights = _filtered(motion, room, filters.noise, window, offsets, randoms)
-        return flights_proposal(config, room, start, flights, Note(0))
+        return flights_proposal(config, room, start, flights, Note(0), fastest_seen(observations, config))
 
     return propose
 

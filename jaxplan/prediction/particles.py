@@ -22,7 +22,7 @@ from jaxplan.prediction.kinematic import expected_acceleration, newest_velocity
 from jaxplan.prediction.mixture import MODES, ConditionalMixture, Prediction, condition
 from jaxplan.prediction.mixture_predictor import WindowMixture
 from jaxplan.prediction.observations import Observations
-from jaxplan.prediction.protocol import Draws, PredictionConfig, Proposal, Proposer
+from jaxplan.prediction.protocol import Draws, Flights, PredictionConfig, Proposal, Proposer
 from jaxplan.prediction.target_model import TargetModel
 from jaxplan.status import Note
 from jaxplan.world.clearance import free_distance
@@ -33,6 +33,13 @@ CAPTURE_RADIUS = 0.36
 """m; as the replanner's ``reach``: who passes within that of the expected target meets it."""
 LEAST_CLEARANCE = 0.1
 """m between a particle and what it hits: a small drone's radius; less where the target is seen nearer."""
+STOPPED_WEIGHT = 0.25
+"""Of a whole flight that hits something at once, where one that never does has 1 more: where it stops is a guess at
+where the target turns (arbitrary)."""
+ROUNDING = 1e-6
+"""m; by which goals are farther from the room's faces than they must be."""
+FASTER, LEAST_FASTEST = 1.25, 2.0
+"""Times as fast as it was seen to fly, and m/s, that a target is taken to fly at most, once enough was seen of it."""
 DOUBTED = 512
 """Ways between two steps of which the middle is looked at."""
 FADING = 1.0
@@ -57,7 +64,7 @@ def particle_proposer(config: PredictionConfig, model: TargetModel, world: World
             flights = None if mixture.is_unusual(observations, float(distance)) else flights
         if flights is None:
             flights, note = fading_flights(observations, offsets, normal), Note.PREDICTOR_FALLBACK
-        return flights_proposal(config, room, newest, flights, note)
+        return flights_proposal(config, room, newest, flights, note, fastest_seen(observations, config))
 
     return propose
 
@@ -68,11 +75,35 @@ def flights_proposal(
     newest: Float[AnyArray, "3"],
     flights: Float[AnyArray, "n s 3"],
     note: Note,
+    fastest: float = np.inf,
 ) -> Proposal:
-    """What particles that come from ``newest`` [m, world] propose in a room (host)."""
+    """What particles from ``newest`` [m, world] propose in a room, no faster than ``fastest`` [m/s] (host)."""
+    flights = np.asarray(flights)
+    if np.isfinite(fastest):
+        flights = slowed(np.asarray(newest), flights, fastest * config.dt)
     stopped, counts = believable(room, jnp.asarray(newest), jnp.asarray(flights))
     goals, likelihood = goals_among(room, stopped, counts, config.batch)
-    return Proposal(_prediction(stopped, counts, config.offsets), Draws(np.asarray(goals), np.log(likelihood)), note)
+    prediction, draws = _prediction(stopped, counts, config.offsets), Draws(np.asarray(goals), np.log(likelihood))
+    whole = Flights(np.asarray(newest), np.asarray(stopped), STOPPED_WEIGHT + np.asarray(counts).mean(axis=1))
+    return Proposal(prediction, draws, note, whole)
+
+
+def fastest_seen(observations: Observations, config: PredictionConfig) -> float:
+    """How fast [m/s] the target is taken to fly at most; infinite where too little was seen to say."""
+    times, positions = (array[-config.observations :] for array in (observations.times, observations.positions))
+    if len(times) < config.observations:
+        return np.inf
+    speeds = np.linalg.norm(np.diff(positions, axis=0), axis=1) / np.diff(times)
+    return max(FASTER * float(speeds.max()), LEAST_FASTEST)
+
+
+def slowed(
+    newest: Float[np.ndarray, "3"], flights: Float[np.ndarray, "n s 3"], longest: float
+) -> Float[np.ndarray, "n s 3"]:
+    """Flights from ``newest`` [m, world] whose steps are no longer than ``longest`` [m], in their own directions."""
+    steps = np.diff(np.concatenate([np.broadcast_to(newest, (len(flights), 1, 3)), flights], axis=1), axis=1)
+    lengths = np.linalg.norm(steps, axis=2, keepdims=True)
+    return np.asarray(newest + np.cumsum(steps * np.minimum(1.0, longest / np.maximum(lengths, 1e-12)), axis=1))
 
 
 def even_randoms(normals: int = MODES) -> tuple[Float[np.ndarray, "p"], Float[np.ndarray, "p r"]]:
@@ -154,10 +185,20 @@ def goals_among(
     mean = (counts[..., None] * flights).sum(axis=0) / number[:, None]
     possible = True if world is None else free_distance(world, mean) >= LEAST_CLEARANCE
     goals = goals.at[0].set(jnp.where(jnp.asarray(possible)[..., None], mean, goals[0]))
+    goals = goals if world is None else _inside(world, goals)
     apart = flights[None] - goals[:, None]
     near = (apart * apart).sum(axis=-1) <= CAPTURE_RADIUS**2
     caught = jnp.maximum(jnp.where(near, counts[None], 0.0).sum(axis=1), 1.0) / number[None]
     return jnp.moveaxis(goals, 0, 1), caught.T
+
+
+def _inside(world: World, goals: Float[Array, "b s 3"]) -> Float[Array, "b s 3"]:
+    """Goals as far from the room's faces as goals must be: who passes there still meets a target that is nearer."""
+    lower, upper = jnp.asarray(world.bounds, goals.dtype)
+    middle, least = 0.5 * (lower + upper), jnp.asarray(world.keep_in, goals.dtype) + ROUNDING
+    return jnp.clip(
+        goals, jnp.minimum(lower + least, middle)[None, None], jnp.maximum(upper - least, middle)[None, None]
+    )
 
 
 def _prediction(

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxplan.prediction.candidates import Candidates, candidates_from
+from jaxplan.prediction.futures import Futures
 from jaxplan.prediction.mixture import Prediction
 from jaxplan.prediction.observations import Observations, usual_observations
 from jaxplan.records import replace
@@ -81,6 +82,26 @@ class Draws(NamedTuple):
     """Of these positions [log 1/m^3]."""
 
 
+class Flights(NamedTuple):
+    """Motions of the target that are possible as a whole."""
+
+    start: Float[np.ndarray, "3"]
+    """Where it was at the newest observation [m, world]."""
+    positions: Float[np.ndarray, "n s 3"]
+    """Where each is at the steps [m, world]."""
+    weights: Float[np.ndarray, "n"]
+    """Their probabilities, to within a factor."""
+
+    def futures(self, offsets: Float[np.ndarray, "s"], age: float) -> Futures:
+        """The same, their start included, in times from now; the newest observation is ``age`` [s] old."""
+        first = np.broadcast_to(self.start, (len(self.positions), 1, 3))
+        return Futures(
+            times=np.concatenate([[0.0], offsets]) - age,
+            positions=np.concatenate([first, self.positions], axis=1),
+            weights=self.weights / self.weights.sum(),
+        )
+
+
 class Proposal(NamedTuple):
     """What a predictor makes of its observations."""
 
@@ -88,6 +109,8 @@ class Proposal(NamedTuple):
     draws: Draws | None
     """The goals that are proposed; None where these are the means of the prediction."""
     note: Note = Note(0)
+    flights: Flights | None = None
+    """Whole motions, where it knows them."""
 
 
 @runtime_checkable
@@ -117,7 +140,7 @@ class StepPredictor:
     def __call__(self, observations: Observations, cycle: int) -> Candidates:
         """Goals for the coming steps; with the bit TARGET_LOST, and no place, once the target is silent too long."""
         observations = usual_observations(observations)
-        prediction, draws, note = self.proposal(observations, cycle)
+        prediction, draws, note, flights = self.proposal(observations, cycle)
         offsets = np.asarray(prediction.offsets)
         if draws is None:
             draws = Draws(np.asarray(prediction.means).swapaxes(1, 2), np.zeros((len(offsets), 1)))
@@ -130,4 +153,6 @@ class StepPredictor:
         if not observations.age <= self.config.lost_after:
             lost = np.full(len(candidates.reasons), np.uint32(Reason.TARGET_LOST))
             candidates = replace(candidates, goals=np.full_like(candidates.goals, np.nan), reasons=lost)
+        elif flights is not None:
+            candidates = replace(candidates, futures=flights.futures(offsets, observations.age))
         return replace(candidates, note=int(note))
