@@ -83,7 +83,7 @@ class EpisodeConfig:
     padding: float = PADDING
     """Distance [m] that goals and paths keep from obstacles."""
     refine: bool = False
-    """Whether chosen plans are made sooner, as ``InterceptConfig`` says; the paper does not."""
+    """Whether chosen plans are made sooner, and compared by capture, as ``InterceptConfig`` says; the paper does not."""
 
 
 def available_planners() -> tuple[str, ...]:
@@ -218,6 +218,7 @@ def _load(world: str, defender: Defender, elsewhere: Planner | None) -> Scenario
         vehicle=defender.vehicle,
         padding=defender.padding,
         refine=defender.refine,
+        selection="capture" if defender.refine else "paper",
     )
     base = build_scenario(config, planner=elsewhere)
     if planner == "optimiser" and elsewhere is None:

@@ -25,6 +25,8 @@ Frame = Literal["enu", "ned"]
 FRAMES: tuple[Frame, ...] = get_args(Frame)
 Allocate = Literal["policy", "profile", "both"]
 ALLOCATIONS: tuple[Allocate, ...] = get_args(Allocate)
+Selection = Literal["capture", "paper"]
+SELECTIONS: tuple[Selection, ...] = get_args(Selection)
 
 _FASTEST_TARGET = 50.0
 """m/s; arbitrary, far above any vehicle here: a larger value is a mistake of units."""
@@ -95,6 +97,11 @@ class InterceptConfig:
     """Whether chosen plans are made sooner, by optimising waypoints and times together. Default: with --meet pass and
     --heading hold, which it needs. --refine=no leaves them as the policy has them, as in the paper."""
 
+    selection: Selection | None = None
+    """What plans are compared by: capture is the expected time until one captures the target, where the predictor knows
+    its motions as a whole (particles, imm, fused); paper is the paper's eq. 9. Default: capture, but paper with --meet
+    rest."""
+
     speed: float | None = None
     """The target's maximum speed [m/s]. Default: 1 for a stored target, as recorded for a flight."""
 
@@ -136,6 +143,8 @@ class InterceptConfig:
         _require_choice("heading", self.heading, HEADINGS)
         if self.allocate is not None:
             _require_choice("allocate", self.allocate, ALLOCATIONS)
+        if self.selection is not None:
+            _require_choice("selection", self.selection, SELECTIONS)
         self._validate_refine()
         if self.speed is not None:
             _require_up_to("speed", self.speed, _FASTEST_TARGET, "m/s")

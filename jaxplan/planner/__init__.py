@@ -4,13 +4,16 @@ candidates -> search -> knots -> policy <-> arrival -> minimum snap -> checks ->
 """
 
 from jaxplan.planner.build import build_planner
+from jaxplan.planner.capture import CaptureConfig, Prospect, capture_time, capture_times, expected_goals
 from jaxplan.planner.records import (
     HITS,
     Approaches,
+    Corrections,
     Planner,
     PlannerConfig,
     Plans,
     Stops,
+    prospect_for,
     select,
     select_approach,
     select_stop,
@@ -22,10 +25,13 @@ from jaxplan.planner.validator import Fault, Verdict
 __all__ = [
     "HITS",
     "Approaches",
+    "CaptureConfig",
+    "Corrections",
     "Fault",
     "Planner",
     "PlannerConfig",
     "Plans",
+    "Prospect",
     "Refined",
     "RefinementConfig",
     "Seed",
@@ -33,6 +39,10 @@ __all__ = [
     "Timer",
     "Verdict",
     "build_planner",
+    "capture_time",
+    "capture_times",
+    "expected_goals",
+    "prospect_for",
     "select",
     "select_approach",
     "select_stop",

@@ -26,7 +26,7 @@ PACES = (0.75, 0.82, 0.9, 1.0, 1.15, 1.4, 2.0, 3.0)
 def approach(parts: Parts, state: FlatState, candidates: Candidates) -> Approaches:
     """Trajectories towards the latest candidates, for when none can be met."""
     state, candidates = usual_state(state), usual_candidates(candidates)
-    table = reject(parts, state, table_of(candidates, parts.config.likelihood_weight))
+    table = reject(parts, state, table_of(candidates, np.zeros(len(candidates.goals))))
     rows = _latest_goals(table)
     meetings = (True, False) if parts.config.meet != "rest" else (False,)
     asked = parts.allocations(state)

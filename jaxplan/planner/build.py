@@ -13,14 +13,18 @@ import jax
 import numpy as np
 
 from jaxplan.feasibility.classifier import Classifier
+from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.planner.approach import approach
 from jaxplan.planner.border import usual_candidates, usual_spline, usual_state
 from jaxplan.planner.brake import brake, impact
+from jaxplan.planner.capture import capture_time, capture_times, prospect_of
+from jaxplan.planner.corrections import correct
 from jaxplan.planner.descent import compile_descent
 from jaxplan.planner.parts import Parts
 from jaxplan.planner.records import (
     Approach,
     Brake,
+    Correct,
     Impact,
     InWorld,
     PlanBatch,
@@ -30,17 +34,32 @@ from jaxplan.planner.records import (
     Update,
     Validate,
     Warmup,
+    prospect_for,
 )
 from jaxplan.planner.refined import Refine, Seed
 from jaxplan.planner.refinement import refine
-from jaxplan.planner.stations import compile_stations
-from jaxplan.planner.table import Rows, Table, bound, check, enter, knots, match, outrank, reject, search, table_of
+from jaxplan.planner.stations import LENGTHS, compile_stations
+from jaxplan.planner.table import (
+    Rows,
+    Table,
+    bound,
+    check,
+    enter,
+    knots,
+    match,
+    outrank,
+    reject,
+    rescored,
+    search,
+    table_of,
+)
 from jaxplan.planner.timer import Timer
 from jaxplan.planner.validator import Room, Verdict, validate
 from jaxplan.planner.warmup import compile_all
 from jaxplan.policy.protocol import Policy
 from jaxplan.precision import in_float64
 from jaxplan.prediction.candidates import Candidates, candidates_from
+from jaxplan.prediction.futures import Futures
 from jaxplan.records import replace
 from jaxplan.search.kernels.solids import solids_of
 from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
@@ -51,6 +70,9 @@ from jaxplan.vehicle.identity import require_same_vehicle
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.obstacles import World
 from jaxplan.world.update import Change
+
+DOUBT = 0.25
+"""s; how much sooner a candidate's trajectory may capture than a straight flight promises (arbitrary)."""
 
 
 def build_planner(
@@ -97,6 +119,7 @@ def _planner(parts: Parts) -> Planner:
     return Planner(
         plan_batch=_bound(PlanBatch, in_float64(plan_batch), parts),
         approach=_bound(Approach, in_float64(approach), parts),
+        correct=_bound(Correct, in_float64(correct), parts),
         refine=_bound(Refine, in_float64(refine), parts),
         validate=_bound(Validate, _validate, parts),
         impact=_bound(Impact, impact, parts),
@@ -161,9 +184,11 @@ def plan_batch(
     """One replan: trajectories from one state timed to meet each candidate (paper, Sec. III-B)."""
     state, candidates = usual_state(state), usual_candidates(candidates)
     timer = timer or Timer()
-    table = reject(parts, state, table_of(candidates, parts.config.likelihood_weight))
+    prospect = prospect_for(parts.config, candidates)
+    table = reject(parts, state, table_of(candidates, parts.score(state, candidates, prospect)))
     if not parts.config.exhaustive:
-        table = outrank(table, np.flatnonzero(table.score <= above))
+        doubt = 0.0 if prospect is None else DOUBT
+        table = outrank(table, np.flatnonzero(table.score <= above - doubt))
     timer.lap("reject")
     rows = table.usable()
     if len(rows):
@@ -174,7 +199,7 @@ def plan_batch(
         table = bound(parts, state, table, rows)
         timer.lap("policy")
         table = _until_one_passes(parts, state, table, rows if parts.config.exhaustive else table.best_first(), timer)
-    plans = table.plans()
+    plans = (table if prospect is None else rescored(table, prospect)).plans()
     timer.lap("select")
     return plans
 
@@ -218,6 +243,8 @@ def _warmup(parts: Parts, state: FlatState) -> None:
     plan_batch(parts, state, candidates)
     approach(parts, state, candidates)
     _validate(parts, brake(parts, state).spline(0))
+    if parts.config.selection == "capture":
+        _capture_once(parts, state, candidates)
 
 
 def _refine_once(parts: Parts, state: FlatState, candidates: Candidates) -> None:
@@ -225,6 +252,21 @@ def _refine_once(parts: Parts, state: FlatState, candidates: Candidates) -> None
     if parts.config.refinement is not None:
         still = PiecewisePolynomial(durations=np.ones(2), position=np.zeros((2, 10, 3)), yaw=np.zeros((2, 6)))
         refine(parts, hover(state.pos), candidates, Seed(still, 0.0, 1.0, np.asarray(state.pos), 1.0))
+
+
+def _capture_once(parts: Parts, state: FlatState, candidates: Candidates) -> None:
+    """Compile what plans are compared by, for every length of theirs."""
+    still = Futures(times=np.zeros(1), positions=np.asarray(state.pos)[None, None] + 1.0, weights=np.ones(1))
+    prospect = prospect_of(still, parts.config.capture)
+    for length in LENGTHS:
+        segments, width = length - 1, parts.config.width
+        position, yaw = np.zeros((segments, 10, 3, width)), np.zeros((segments, 6, 1, width))
+        capture_times(prospect, SplineBatch(durations=np.ones((segments, width)), position=position, yaw=yaw))
+    found = correct(parts, state, prospect)
+    capture_times(prospect, found.splines)
+    capture_time(prospect, found.spline(0))
+    capture_times(prospect, brake(parts, state, found.spline(0)).splines)
+    plan_batch(parts, state, replace(candidates, futures=still))
 
 
 def _candidates_around(state: FlatState, count: int) -> Candidates:

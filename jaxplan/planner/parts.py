@@ -10,13 +10,14 @@ from jaxtyping import Bool, Float, Int, UInt32
 
 from jaxplan.arrays import AnyArray
 from jaxplan.batching import at_fixed_width, pick
+from jaxplan.planner.capture import Prospect, straight_capture_times
 from jaxplan.planner.descent import Descend
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.planner.stations import Match, Routes, Stations, Trajectories, shortened
 from jaxplan.planner.validator import Keep, Room
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.search.lattice import Lattices, Paths
-from jaxplan.search.meeting_point import ending_before
+from jaxplan.search.meeting_point import beginning_at, ending_before
 from jaxplan.search.routes import find_routes
 from jaxplan.search.stops import stop_points
 from jaxplan.spline import FlatState
@@ -26,6 +27,10 @@ from jaxplan.world.obstacles import World
 
 GOALS_AT_ONCE = 512
 """Candidates that are looked at before the search in one call: little work each (arbitrary)."""
+LEADS = (0.2, 0.1)
+"""Seconds from a start in flight to where its routes begin: the longest of which the way is clear."""
+LEAD_SPEED = 1.5
+"""m/s from which on a start is in flight."""
 
 
 Members = Int[np.ndarray, "n"]
@@ -33,6 +38,7 @@ Members = Int[np.ndarray, "n"]
 anew in each call, and what jaxtyping makes lies in a cycle until it is collected."""
 _Reasons = UInt32[AnyArray, "n"]
 _Times = Float[AnyArray, "m n"]
+_Scores = Float[AnyArray, "n"]
 
 
 class Allocation(NamedTuple):
@@ -88,6 +94,17 @@ class Parts(NamedTuple):
 
         return at_fixed_width(mark, np.arange(len(goals)), GOALS_AT_ONCE)
 
+    def score(self, state: FlatState, candidates: Candidates, prospect: Prospect | None) -> Float[np.ndarray, "k"]:
+        """What is maximised [s]: the paper's eq. 9, or what flights straight to the goals promise to capture."""
+        goals, times = np.asarray(candidates.goals), np.asarray(candidates.arrival_times)
+        if prospect is None or not len(times):
+            return self.config.likelihood_weight * np.asarray(candidates.likelihood) - times
+
+        def ask(some: Members) -> _Scores:
+            return -straight_capture_times(prospect, state, goals[some], times[some])
+
+        return at_fixed_width(ask, np.arange(len(times)), GOALS_AT_ONCE)
+
     def search(
         self, state: FlatState, goals: Float[np.ndarray, "k 3"], target: Float[np.ndarray, "3"], alternatives: int = 1
     ) -> Paths:
@@ -97,8 +114,25 @@ class Parts(NamedTuple):
         """
         start = np.asarray(state.pos)
         distance = float(np.linalg.norm(target - start))
-        paths = find_routes(self.lattices, self.world, start, goals, distance, self.config.path_capacity, alternatives)
+        lead, capacity = self._lead(state), self.config.path_capacity
+        if lead is None:
+            paths = find_routes(self.lattices, self.world, start, goals, distance, capacity, alternatives)
+        else:
+            paths = find_routes(self.lattices, self.world, lead, goals, distance, capacity - 1, alternatives)
+            paths = beginning_at(paths, start)
         return ending_before(paths, self.config.meet_radius)
+
+    def _lead(self, state: FlatState) -> Float[np.ndarray, "3"] | None:
+        """Where the vehicle will be soon whatever it does: routes from flight begin there; None where it is slow."""
+        position, velocity, acceleration = (np.asarray(getattr(state, name)) for name in ("pos", "vel", "acc"))
+        if np.linalg.norm(velocity) < LEAD_SPEED:
+            return None
+        for time in LEADS:
+            shares = np.linspace(0.0, time, 5)[1:, None]
+            way = position + shares * velocity + 0.5 * shares**2 * acceleration
+            if (self.room.free_distance(way) >= self.keep.least).all():
+                return np.asarray(way[-1])
+        return None
 
     def route(
         self,

@@ -7,10 +7,11 @@ import numpy as np
 from jaxtyping import Float, Int, UInt32
 
 from jaxplan.arrival import ArrivalConfig
-from jaxplan.config import ALLOCATIONS, HEADINGS, MEETINGS, Allocate, Heading, Meet
+from jaxplan.config import ALLOCATIONS, HEADINGS, MEETINGS, SELECTIONS, Allocate, Heading, Meet, Selection
 from jaxplan.errors import InputError
 from jaxplan.knots import KnotConfig
 from jaxplan.minsnap.spline_batch import SplineBatch
+from jaxplan.planner.capture import CaptureConfig, Prospect, prospect_of
 from jaxplan.planner.refined import Refine, RefinementConfig
 from jaxplan.planner.timer import Timer
 from jaxplan.planner.validator import ValidatorConfig, Verdict
@@ -68,6 +69,10 @@ class PlannerConfig:
     """As ``CheckConfig.least_probability``, of plans with the profile's times: the classifier knows the policy's."""
     likelihood_weight: float = 1.0
     """Seconds that a likelihood of 1 is worth in the selection (paper eq. 9 leaves the unit open)."""
+    selection: Selection = "capture"
+    """What plans are compared by: "capture" is the expected time until one captures the target, where a predictor knows
+    its possible motions as a whole; "paper" is eq. 9, and what all others are compared by."""
+    capture: CaptureConfig = CaptureConfig()
     path_capacity: int = 32
     """Corners of the longest taut path; longer ones are planned as prefixes."""
     width: int = 64
@@ -98,11 +103,18 @@ class PlannerConfig:
         require_one_of("planner", self, MEETINGS, "meet")
         require_one_of("planner", self, HEADINGS, "heading")
         require_one_of("planner", self, ALLOCATIONS, "allocate")
+        require_one_of("planner", self, SELECTIONS, "selection")
         if self.refinement is not None and (self.meet, self.heading) != ("pass", "hold"):
             have = f"meet {self.meet!r} and heading {self.heading!r}"
             raise InputError(f"planner: refinement needs meet 'pass' and heading 'hold', have {have}; want None")
         if self.meet != "rest" and self.search != "roadmap":
             raise InputError(f"planner: meet {self.meet!r} needs search 'roadmap', have {self.search!r}; want 'rest'")
+
+
+def prospect_for(config: PlannerConfig, candidates: Candidates) -> Prospect | None:
+    """The target's futures from the start on, where plans are compared by them; None: by the paper's eq. 9."""
+    asked = config.selection == "capture" and candidates.futures is not None
+    return prospect_of(candidates.futures, config.capture) if asked else None
 
 
 @record
@@ -156,6 +168,28 @@ class Approaches:
 
     def probability(self, index: SupportsIndex) -> float:
         """Of trajectory ``index`` being tracked, by the classifier; NaN where the rotor limits decided."""
+        return float(np.asarray(self.margins.probability)[index])
+
+
+@record
+class Corrections:
+    """Short trajectories straight towards where the target is expected, for a vehicle in flight."""
+
+    goals: Float[np.ndarray, "n 3"]
+    """Positions [m, world] that are passed."""
+    arrival_times: Float[np.ndarray, "n"]
+    """When [s from the start state]."""
+    reasons: UInt32[np.ndarray, "n"]
+    """0 means usable."""
+    splines: SplineBatch
+    margins: Margins
+
+    def spline(self, index: SupportsIndex) -> PiecewisePolynomial:
+        """One of the trajectories (host, NumPy)."""
+        return self.splines.spline(index)
+
+    def probability(self, index: SupportsIndex) -> float:
+        """As ``Approaches.probability``."""
         return float(np.asarray(self.margins.probability)[index])
 
 
@@ -237,6 +271,13 @@ class Approach(Protocol):
         """As ``PlanBatch``."""
 
 
+class Correct(Protocol):
+    """Short plans straight towards where the target is expected, from flight."""
+
+    def __call__(self, state: FlatState, prospect: Prospect) -> Corrections:
+        """As ``PlanBatch``; compiles nothing."""
+
+
 class Validate(Protocol):
     """The last look at a plan before it is committed, by other means than those that found it."""
 
@@ -292,6 +333,7 @@ class Planner(NamedTuple):
 
     plan_batch: PlanBatch
     approach: Approach
+    correct: Correct
     refine: Refine
     validate: Validate
     impact: Impact

@@ -137,17 +137,24 @@ def _expected(candidates: Candidates) -> Expected | None:
 
 
 def _variables(seed: Seed, target: Float[np.ndarray, "3"], radius: float, segments: int) -> Variables:
-    """The seed's own waypoints at even intervals of time, for one start."""
+    """The seed's own waypoints at even intervals of time, for one start.
+
+    Where it passes the target farther than ``radius`` [m] they are moved on to meet it, as an even acceleration would.
+    """
     spline, inner = seed.spline, segments - 1
     rest = float(spline.duration) - seed.since - seed.meeting
     rest = rest if rest >= SHORT else STOP_TIME
     times = np.r_[np.linspace(0.0, seed.meeting, inner + 1), seed.meeting + rest]
     points = np.asarray(spline.evaluate(seed.since + times))[:, :3]
     durations = np.clip(np.diff(times), 1.05 * SHORTEST, 0.95 * LONGEST)
+    offset = _shortened((points[-2] - target) / radius, 0.9)
+    moved = target + radius * offset - points[-2]
+    shares = np.minimum(times / seed.meeting, 1.0)[:, None] ** 2
+    points = points + shares * moved
     return Variables(
         log_durations=np.log(durations)[:, None],
         inner=points[1:-2, :, None],
-        offset=_shortened((points[-2] - target) / radius, 0.9)[:, None],
+        offset=offset[:, None],
         stop=_shortened(points[-1] - points[-2], 0.9 * FARTHEST_STOP)[:, None],
     )
 

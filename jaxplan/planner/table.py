@@ -11,6 +11,7 @@ from jaxtyping import Float, Int, UInt32
 
 from jaxplan.arrival import Arrival, time_to
 from jaxplan.batching import fill, join, pick
+from jaxplan.planner.capture import Prospect, capture_times
 from jaxplan.planner.parts import Allocation, Parts
 from jaxplan.planner.records import Plans
 from jaxplan.planner.stations import Routes, Trajectories, no_trajectories
@@ -109,10 +110,9 @@ class Table(NamedTuple):
         )
 
 
-def table_of(candidates: Candidates, likelihood_weight: float) -> Table:
-    """A table of which nothing is known but the score (paper eq. 9)."""
+def table_of(candidates: Candidates, score: Float[np.ndarray, "k"]) -> Table:
+    """A table of which nothing is known but the score."""
     count = len(candidates.goals)
-    score = likelihood_weight * np.asarray(candidates.likelihood) - np.asarray(candidates.arrival_times)
     none, nowhere = np.zeros(count, np.uint32), np.full(count, -1)
     return Table(candidates, score, none, none, np.full(count, np.nan), nowhere, nowhere)
 
@@ -197,6 +197,17 @@ def enter(table: Table, checked: Checked) -> Table:
         trajectory=_numbered(table.trajectory, rows, sum(count for _, count in table.trajectories)),
         trajectories=(*table.trajectories, (checked.trajectories, len(rows))),
     )
+
+
+def rescored(table: Table, prospect: Prospect) -> Table:
+    """The table with the scores of those that pass by what their trajectories capture (``jaxplan.planner.capture``)."""
+    passing = np.flatnonzero(((table.reasons | table.faults) == 0) & (table.trajectory >= 0))
+    if not len(passing):
+        return table
+    score = table.score.copy()
+    times = [capture_times(prospect, found.splines)[:count] for found, count in table.trajectories]
+    score[passing] = -np.concatenate(times)[table.trajectory[passing]]
+    return table._replace(score=score)
 
 
 def _numbered(columns: Int[np.ndarray, "k"], rows: Rows, first: int) -> Int[np.ndarray, "k"]:

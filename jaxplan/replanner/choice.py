@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxplan.planner import Approaches, Plans, Refined, Seed, Stops
+from jaxplan.planner import Approaches, Corrections, Plans, Prospect, Refined, Seed, Stops
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.replanner.incumbent import Incumbent
 from jaxplan.replanner.records import CommittedPlan
@@ -44,7 +44,9 @@ class Chosen(NamedTuple):
     """By how much a refinement made it sooner [s]."""
 
 
-def chosen_from(among: Plans | Approaches | Stops, place: int, slowdown: float, candidate: int = -1) -> Chosen:
+def chosen_from(
+    among: Plans | Approaches | Corrections | Stops, place: int, slowdown: float, candidate: int = -1
+) -> Chosen:
     """One of the trajectories of a cycle."""
     spline, time = among.spline(place), float(among.arrival_times[place])
     return Chosen(spline, among.goals[place], time, slowdown, among.probability(place), candidate)
@@ -67,6 +69,18 @@ def seed_of_plan(among: Plans | Approaches, place: int, candidates: Candidates) 
         goal=among.goals[place],
         likelihood=likelihood,
     )
+
+
+def seed_towards(prospect: Prospect, spline: PiecewisePolynomial, since: float, radius: float) -> Seed:
+    """What is left of a plan ``since`` [s of its own time], to meet the expected target where it first comes nearest.
+
+    Within ``radius`` [m] nothing is nearer.
+    """
+    at = np.minimum(since + prospect.times, float(spline.duration))
+    mean = prospect.mean
+    apart = np.linalg.norm(np.asarray(spline.evaluate(at))[:, :3] - mean, axis=1)
+    first = int(np.argmax(apart <= max(radius, float(apart.min()) + 0.02)))
+    return Seed(spline=spline, since=since, meeting=float(prospect.times[first]), goal=mean[first], likelihood=1.0)
 
 
 def seed_of_committed(plan: CommittedPlan, incumbent: Incumbent, takeover: float) -> Seed:

@@ -16,23 +16,22 @@ import time
 from collections import deque
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from jaxplan.errors import InputError
-from jaxplan.planner import HITS, Approaches, Fault, Planner, Plans, Seed, Timer, select_stop
+from jaxplan.planner import Fault, Planner, Timer, prospect_for
 from jaxplan.planner.timer import Clock
-from jaxplan.prediction.candidates import Candidates
+from jaxplan.prediction.candidates import later
 from jaxplan.prediction.observations import Observations, usual_observations
 from jaxplan.prediction.protocol import Predictor
-from jaxplan.records import replace
-from jaxplan.replanner.choice import Chosen, Start, chosen_from, chosen_refined, seed_of_committed, seed_of_plan
+from jaxplan.replanner.choice import Chosen, Start
 from jaxplan.replanner.committed import CommittedPlans, hold
-from jaxplan.replanner.incumbent import NO_INCUMBENT, Incumbent, incumbent_among
+from jaxplan.replanner.decision import Decision, Known
 from jaxplan.replanner.measured import carried_on, usual_measured
 from jaxplan.replanner.pace import Pace
 from jaxplan.replanner.records import CommittedPlan, Cycle, Measured, ReplannerConfig
 from jaxplan.spline import FlatState
-from jaxplan.status import Note, PlanStatus, Reason, count_reasons
+from jaxplan.status import Note, PlanStatus, count_reasons
 from jaxplan.validation import as_number
 from jaxplan.world.update import Change
 
@@ -40,8 +39,6 @@ REMEMBERED = 100
 """Cycles whose computing times say what the latency is to be (arbitrary)."""
 RESERVE = 1.2
 """By how much the latency is longer than 99 of 100 of them (arbitrary)."""
-LOOKED_AT = 4
-"""Plans that a cycle takes a last look at (arbitrary: more than one is hardly ever refused)."""
 
 
 class Replanner:
@@ -67,7 +64,6 @@ class Replanner:
         self._cycles = 0
         self._last = -np.inf
         self._certain = not isinstance(start, CommittedPlan)
-        self._refused = 0
 
     @property
     def plans(self) -> list[CommittedPlan]:
@@ -124,21 +120,20 @@ class Replanner:
         if not np.isfinite(now) or now < self._last:
             raise InputError(f"replanner: now is {now} s, want a finite time from {self._last} s on, the last cycle's")
         measured = None if measured is None else usual_measured(measured)
-        timer, self._last, self._refused, latency = Timer(self._clock), now, 0, self.latency
+        timer, self._last, latency = Timer(self._clock), now, self.latency
         start = self._start(now, measured)
         predicted = self._predictor(observations, self._cycles)
         self._cycles += 1
-        arrival_times = np.asarray(predicted.arrival_times) - (start.takeover - now)
-        candidates = replace(predicted, arrival_times=arrival_times)
+        candidates = later(predicted, start.takeover - now)
         timer.lap("predict", predicted)
         self._certain = not start.measured and (self._certain or self._is_clear(now, 0.0))
-        incumbent = self._incumbent(candidates, start)
-        if start.deviation > self.config.stop_beyond:
-            plans = self.planner.plan_batch(start.state, candidates, timer, np.inf)
-            status, chosen = self._stop(start, PlanStatus.RECOVER)
-        else:
-            plans = self.planner.plan_batch(start.state, candidates, timer, incumbent.score)
-            status, chosen = self._decide(start, candidates, plans, incumbent, timer)
+        prospect = prospect_for(self.planner.config, candidates)
+        known = Known(start, candidates, prospect, self.committed, self._certain)
+        decision = Decision(self.planner, self.config, self._pace, latency, known, timer)
+        lost = start.deviation > self.config.stop_beyond
+        above = np.inf if lost else decision.incumbent.score
+        plans = self.planner.plan_batch(start.state, candidates, timer, above)
+        status, chosen = decision.stop(PlanStatus.RECOVER) if lost else decision.among(plans)
         timer.lap("select")
         if chosen is not None and self.config.drop_late and timer.total > 1e3 * latency:
             status, chosen = PlanStatus.LATE, None
@@ -155,7 +150,7 @@ class Replanner:
             rejected=count_reasons(plans.reasons),
             jump=jump,
             note=Note(candidates.note),
-            refused=self._refused,
+            refused=decision.refused,
             deviation=start.deviation,
             latency=latency,
             sooner=0.0 if chosen is None else chosen.sooner,
@@ -179,88 +174,6 @@ class Replanner:
         """Whether what is left of the committed plan keeps its distance from obstacles, and so much [m] more."""
         verdict = self.planner.validate(self.committed.spline, now - self.committed.start_time, None, wider)
         return not verdict.faults & Fault.CLEARANCE
-
-    def _incumbent(self, candidates: Candidates, start: Start) -> Incumbent:
-        """What the committed plan is worth; nothing where it is not clear, or the vehicle not on it."""
-        if not self._certain:
-            return NO_INCUMBENT
-        weight = self.planner.config.likelihood_weight
-        return incumbent_among(self.committed, candidates, start.takeover, weight, self.config)
-
-    def _decide(
-        self, start: Start, candidates: Candidates, plans: Plans, incumbent: Incumbent, timer: Timer
-    ) -> tuple[PlanStatus, Chosen | None]:
-        """The ladder: a better interception, the committed one, an approach, a stop if need be, what is committed.
-
-        What is found is made sooner where that can be.
-        """
-        best = self._best(plans, plans.score, start)
-        if best >= 0 and plans.score[best] > incumbent.score:
-            seed = seed_of_plan(plans, best, candidates)
-            refined = self._refined(start, candidates, seed, float(plans.score[best]), timer)
-            return PlanStatus.INTERCEPT, refined or chosen_from(plans, best, float(plans.alpha[best]), best)
-        if np.isfinite(incumbent.score):
-            seed = seed_of_committed(self.committed, incumbent, start.takeover)
-            refined = self._refined(start, candidates, seed, incumbent.score, timer)
-            return (PlanStatus.INTERCEPT, refined) if refined else (PlanStatus.KEPT_COMMITTED, None)
-        approaches = self.planner.approach(start.state, candidates)
-        timer.lap("approach")
-        best = self._best(approaches, -approaches.lateness, start)
-        if best >= 0:
-            refined = self._refined(start, candidates, seed_of_plan(approaches, best, candidates), -np.inf, timer)
-            approached = chosen_from(approaches, best, float(approaches.alpha[best]))
-            return (PlanStatus.INTERCEPT, refined) if refined else (PlanStatus.APPROACH, approached)
-        if not self._certain:
-            return self._stop(start, PlanStatus.BRAKE)
-        if (np.asarray(candidates.reasons) & np.uint32(Reason.TARGET_LOST)).all():
-            return PlanStatus.TARGET_LOST, None
-        usable = bool((plans.reasons == 0).any()) or len(approaches.reasons) > 0
-        return (PlanStatus.KEPT_COMMITTED if usable else PlanStatus.NO_CANDIDATE), None
-
-    def _refined(self, start: Start, candidates: Candidates, seed: Seed, score: float, timer: Timer) -> Chosen | None:
-        """An interception that is enough sooner than ``seed``, which is worth ``score``; None where there is none."""
-        steps = self._steps(timer)
-        if steps == 0:
-            return None
-        before = timer.total
-        refined = self.planner.refine(start.state, candidates, seed, steps)
-        timer.lap("refine")
-        if refined is not None and steps is not None:
-            self._pace.took(timer.total - before, steps)
-        if refined is None or refined.reasons or not refined.score >= score + self.planner.config.least_gain:
-            return None
-        if self.planner.validate(refined.spline, 0.0, start.state, start.wider).faults:
-            self._refused += 1
-            return None
-        return chosen_refined(refined, seed)
-
-    def _steps(self, timer: Timer) -> int | None:
-        """Of a refinement, for which there is time; None, which means all, where late plans are flown all the same."""
-        planned = self.planner.config.refinement
-        if not self.config.drop_late or planned is None:
-            return None
-        latency = 1e3 * self.latency
-        return min(self._pace.steps(latency - timer.total, latency), planned.iterations)
-
-    def _best(self, among: Plans | Approaches, score: Float[np.ndarray, "k"], start: Start) -> int:
-        """The usable trajectory of the largest score that passes the last look; -1 where there is none."""
-        usable: Int[np.ndarray, "n"] = np.flatnonzero((among.reasons == 0) & np.isfinite(score))
-        for index in usable[np.argsort(-score[usable], kind="stable")][:LOOKED_AT].tolist():
-            if not self.planner.validate(among.spline(index), 0.0, start.state, start.wider).faults:
-                return int(index)
-            self._refused += 1
-        return -1
-
-    def _stop(self, start: Start, status: PlanStatus) -> tuple[PlanStatus, Chosen | None]:
-        """What ``select_stop`` takes; where none is clear, only if the committed plan hits harder."""
-        since = start.takeover - self.committed.start_time
-        stops = self.planner.brake(start.state, self.committed.spline, since)
-        best = select_stop(stops)
-        if best >= 0 and not stops.reasons[best] & np.uint32(HITS):
-            return status, chosen_from(stops, best, np.nan)
-        hit = self.planner.impact(self.committed.spline, since)
-        softer = best >= 0 and (stops.impact[best] < hit or (start.measured and stops.impact[best] == 0.0))
-        return PlanStatus.BLOCKED, chosen_from(stops, best, np.nan) if softer else None
 
     def _commit(self, chosen: Chosen, start: Start, status: PlanStatus) -> Float[np.ndarray, "5"]:
         """Add a plan; returns its discontinuity from where it should begin, as ``Cycle.jump``."""

@@ -1,6 +1,7 @@
 """Where a target is met: within a radius of its predicted position, on the last leg of the path to it (host, NumPy)."""
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxplan.records import replace
 from jaxplan.search.lattice import Paths
@@ -21,3 +22,15 @@ def ending_before(paths: Paths, radius: float) -> Paths:
     ends = goals + leg * (off / np.where(length > 0.0, length, 1.0))[:, None]
     behind = np.arange(paths.points.shape[1])[None] >= last[:, None]
     return replace(paths, points=np.where(behind[..., None], ends[:, None], paths.points), length=paths.length - off)
+
+
+def beginning_at(paths: Paths, start: Float[np.ndarray, "3"]) -> Paths:
+    """The same paths with a straight way from ``start`` [m, world] to where they begin before them."""
+    first = np.broadcast_to(start, (len(paths.points), 1, 3))
+    lengths = np.linalg.norm(paths.points[:, 0] - start, axis=1)
+    return replace(
+        paths,
+        points=np.concatenate([first, paths.points], axis=1),
+        count=np.where(paths.count > 0, paths.count + 1, 0),
+        length=paths.length + lengths,
+    )

@@ -1,0 +1,166 @@
+"""How soon a plan captures the target, when only its possible futures are known.
+
+What a plan is worth is not where one future will be, but how soon it captures whichever comes true. Plans are corrected
+as they are flown: what passes a metre beside a future in a second captures it all the same, since by then it is known.
+So a future counts as captured as soon as the plan is within the capture radius and what a correction can reach, which
+begins after a reaction and grows as a constant acceleration's way does. The expected time until then is what plans,
+the committed one among them, are compared by: it does not jump from one sample to the next, and falls by the time that
+passes while what was expected happens.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxplan.arrays import AnyArray
+from jaxplan.minsnap.spline_batch import SplineBatch
+from jaxplan.precision import in_float64
+from jaxplan.prediction.candidates import Candidates, candidates_from
+from jaxplan.prediction.futures import Futures
+from jaxplan.spline import FlatState, PiecewisePolynomial
+from jaxplan.validation import require_at_least, require_positive
+
+MOTIONS = 64
+"""Futures that are looked at: more are thinned out, so that one program serves all predictors (arbitrary)."""
+STEP = 0.05
+"""Seconds between the instants that are looked at (arbitrary: a correction reaches farther than is flown in it)."""
+RETURN_SPEED = 5.0
+"""m/s at which what is missed by the horizon is counted (arbitrary)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class CaptureConfig:
+    """What counts as captured, and by how much a plan can be corrected (docs/decisions/0034)."""
+
+    radius: float = 0.3
+    """m; within which a target is captured: less than the judge's, for tracking errors."""
+    reaction: float = 0.25
+    """Seconds until a correction shows: a latency, a cycle, and turning the thrust."""
+    correction: float = 3.0
+    """m/s^2; how much a plan can be corrected sideways, on average: a fraction of what the vehicle has, since what is
+    to come is learned little by little."""
+    horizon: float = 2.0
+    """Seconds that are looked ahead."""
+    gain: float = 0.05
+    """By how much sooner another plan must be expected to capture [s] to replace the committed one."""
+
+    def __post_init__(self) -> None:
+        require_positive("capture", self, "radius", "horizon")
+        require_at_least("capture", self, 0.0, "reaction", "correction", "gain")
+
+    @property
+    def times(self) -> Float[np.ndarray, "u"]:
+        """The instants that are looked at [s from a plan's start]."""
+        return STEP * np.arange(round(self.horizon / STEP) + 1)
+
+    @property
+    def reach(self) -> Float[np.ndarray, "u"]:
+        """How far from a plan [m] the target is captured at each of them."""
+        return np.asarray(self.radius + 0.5 * self.correction * np.maximum(self.times - self.reaction, 0.0) ** 2)
+
+
+class Prospect(NamedTuple):
+    """The futures at the instants that are looked at, from the start of the plans on."""
+
+    times: Float[np.ndarray, "u"]
+    """[s]"""
+    motions: Float[np.ndarray, "u n 3"]
+    """[m, world]"""
+    weights: Float[np.ndarray, "n"]
+    reach: Float[np.ndarray, "u"]
+    """As ``CaptureConfig.reach``."""
+
+    @property
+    def mean(self) -> Float[np.ndarray, "u 3"]:
+        """Where the target is expected [m, world]."""
+        return np.einsum("n,una->ua", self.weights, self.motions)
+
+    def mean_at(self, time: float) -> Float[np.ndarray, "3"]:
+        """Where it is expected [m, world] at one instant [s]."""
+        mean = self.mean
+        return np.array([np.interp(time, self.times, mean[:, axis]) for axis in range(3)])
+
+
+def prospect_of(futures: Futures, config: CaptureConfig) -> Prospect:
+    """The futures, their times counted from the start of the plans, on the grid (host)."""
+    count = len(np.asarray(futures.weights))
+    chosen = np.linspace(0, count - 1, MOTIONS).round().astype(int) if count > MOTIONS else np.arange(count)
+    weights = np.asarray(futures.weights, dtype=np.float64)[chosen]
+    few = Futures(times=futures.times, positions=np.asarray(futures.positions)[chosen], weights=weights)
+    motions, missing = np.moveaxis(few.at(config.times), 0, 1), MOTIONS - len(chosen)
+    return Prospect(
+        times=config.times,
+        motions=np.concatenate([motions, np.repeat(motions[:, :1], missing, axis=1)], axis=1),
+        weights=np.pad(weights / weights.sum(), (0, missing)),
+        reach=config.reach,
+    )
+
+
+def expected_goals(prospect: Prospect, target: Float[np.ndarray, "3"], times: Sequence[float]) -> Candidates:
+    """Where the target is expected [m, world] at some times [s from the start], as candidates (host)."""
+    goals = np.stack([prospect.mean_at(time) for time in times])
+    return candidates_from(target, goals, np.array(times), np.zeros(len(times)))
+
+
+@in_float64
+def capture_times(prospect: Prospect, splines: SplineBatch) -> Float[np.ndarray, "k"]:
+    """Expected seconds until each trajectory captures the target, at rest where it ends."""
+    return np.asarray(_of_splines(prospect, splines))
+
+
+@in_float64
+def capture_time(prospect: Prospect, spline: PiecewisePolynomial, since: float = 0.0) -> float:
+    """The same for what is left of one trajectory ``since`` [s of its own time]."""
+    at = np.minimum(since + prospect.times, float(spline.duration))
+    way = np.asarray(spline.evaluate(at))[:, :3, None]
+    return float(np.asarray(_of_ways(prospect, way))[0])
+
+
+@jax.jit
+def straight_capture_times(
+    prospect: Prospect, state: FlatState, goals: Float[Array, "k 3"], times: Float[Array, "k"]
+) -> Float[Array, "k"]:
+    """The same before there are trajectories: at a constant acceleration to each goal [m], to be there at its time [s].
+
+    They stop soon behind their goals.
+    """
+    position, velocity = jnp.asarray(state.pos), jnp.asarray(state.vel)
+    whole = jnp.maximum(times, STEP)
+    since = jnp.minimum(jnp.asarray(prospect.times)[:, None], whole[None] + 2.0 * STEP)
+    missed = goals - position[None] - velocity[None] * whole[:, None]
+    share = (since / whole[None]) ** 2
+    way = position[None, :, None] + since[:, None] * velocity[None, :, None] + share[:, None] * missed.T[None]
+    return _of_ways(prospect, way)
+
+
+@jax.jit
+def _of_splines(prospect: Prospect, splines: SplineBatch) -> Float[Array, "k"]:
+    return _of_ways(prospect, splines.positions(jnp.asarray(prospect.times)))
+
+
+@jax.jit
+def _of_ways(prospect: Prospect, ways: Float[AnyArray, "u 3 k"]) -> Float[Array, "k"]:
+    """Expected seconds until capture along the positions of k plans [m, world] at the instants of the prospect."""
+    motions, reach = jnp.asarray(prospect.motions), jnp.asarray(prospect.reach)
+    before = jnp.full((motions.shape[1], ways.shape[2]), jnp.inf, motions.dtype)
+
+    def step(
+        known: tuple[Array, Array], instant: tuple[Array, Array, Array, Array]
+    ) -> tuple[tuple[Array, Array], None]:
+        captured, last = known
+        time, there, near, here = instant
+        apart = sum((there[:, axis, None] - here[None, axis]) ** 2 for axis in range(3))
+        beyond = jnp.sqrt(apart) - near
+        share = jnp.where(jnp.isfinite(last), last / jnp.maximum(last - beyond, 1e-9), 1.0)
+        now = jnp.maximum(time - STEP * (1.0 - share), 0.0)
+        return (jnp.where((beyond <= 0.0) & jnp.isinf(captured), now, captured), beyond), None
+
+    instants = (jnp.asarray(prospect.times), motions, reach, jnp.asarray(ways))
+    (captured, beyond), _ = jax.lax.scan(step, (before, before), instants)
+    missed = prospect.times[-1] + jnp.maximum(beyond, 0.0) / RETURN_SPEED
+    return jnp.asarray(prospect.weights) @ jnp.where(jnp.isinf(captured), missed, captured)

@@ -1,0 +1,147 @@
+"""Corrections of a flight: short plans straight towards where the target is expected, without a search (host).
+
+Routes and the times allotted to them are for going somewhere from rest. In fast flight, near a target that does what
+was not expected, most of them turn too hard to be flown. A correction begins from where the flight would go by itself:
+its goal is so large a share of the way from there to where the target is expected, in about the least time that takes,
+and it comes to rest behind that, in whatever direction is free. Those goals and stops are taken whose straight ways are
+clear. All are solved and checked at once like any other plan, but for the deviation: there is no path to keep.
+"""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxplan.batching import at_fixed_width, pick
+from jaxplan.knots import MAX_WAYPOINTS
+from jaxplan.planner.border import usual_state
+from jaxplan.planner.capture import Prospect
+from jaxplan.planner.parts import Members, Parts
+from jaxplan.planner.records import Corrections
+from jaxplan.planner.stations import Routes, Trajectories, shortened
+from jaxplan.spline import FlatState
+from jaxplan.status import Reason
+
+SHARES = (1.0, 0.75, 0.5, 0.25)
+"""Of what is missing at the goal's time if nothing changes; 1 leads to where the target is expected (arbitrary)."""
+PACES = (0.8, 1.0, 1.25, 1.6, 2.0, 2.5)
+"""Times of the goals, in multiples of the least in which ``ACCELERATION`` gets there (arbitrary)."""
+ACCELERATION = 15.0
+"""m/s^2 (arbitrary: about half of what the preset ``mfrl`` has)."""
+TIMES = (0.2, 1.95)
+"""s; the shortest and the longest."""
+DECELERATIONS, TURNS, CLIMBS = (12.0, 8.0), (0.0, 30.0, -30.0, 60.0, -60.0, 90.0, -90.0), (0.0, 20.0, -20.0)
+"""Of the stops behind a goal [m/s^2], and how far to the side and upwards they lead [degrees] (arbitrary)."""
+TURN_COST, CLIMB_COST, LONG_COST = 1.0 / 90.0, 1.0 / 40.0, 0.2
+"""By degree, and for the gentler deceleration: in which order stops are tried (arbitrary)."""
+NEAR_COST = 10.0
+"""By metre of clearance that is missing on a straight line."""
+GOALS, STOPS = 16, 4
+"""That are solved: the most promising goals, and stops behind each (64 is the width of the stations)."""
+REACTION, SHORTEST_STOP = 0.12, 0.35
+"""s; in which the thrust is turned around, and what a stop takes at least."""
+CARRIED = 0.15
+"""s; so long the acceleration is taken to go on if nothing changes (arbitrary)."""
+SPARE = 0.1
+"""m of clearance beyond what is kept at least, that ways are looked for with."""
+LOOKED_AT = 5
+"""Points of a way whose clearance is looked at (arbitrary: what is found is checked anyway)."""
+LEAST_PROBABILITY = 0.9
+"""Of being tracked: corrections follow one another, and errors add up that a single flight would not have."""
+SLOW = 0.5
+"""m/s; what passes its goal more slowly stops along the way to it."""
+
+
+def correct(parts: Parts, state: FlatState, prospect: Prospect) -> Corrections:
+    """Corrections from one state, their arrival times those of their goals."""
+    state = usual_state(state)
+    goals, stops, times, rests = _ways(parts, state, prospect)
+    count, start = len(times), np.asarray(state.pos)
+    waypoints = np.repeat(stops.T[None], MAX_WAYPOINTS, axis=0)
+    waypoints[0], waypoints[1] = start[:, None], goals.T
+    along = np.linspace(0.0, 1.0, parts.config.knots.samples)[:, None, None]
+    samples = start[:, None] + along * (stops.T - start[:, None])
+    none, free = np.zeros(count, np.uint32), np.full((3, count), np.nan)
+    routes = shortened(Routes(waypoints, np.full(count, 3), np.ones(count, np.int64), samples, none, free))
+    durations = np.zeros((len(routes.waypoints) - 1, count))
+    durations[0], durations[1] = times, rests
+
+    def check(some: Members) -> Trajectories:
+        solved = parts.stations.solve(state, pick(routes, some), durations[:, some], start, LEAST_PROBABILITY)
+        return parts.stations.clear_finely(parts.world, solved)
+
+    every: Int[np.ndarray, "n"] = np.arange(count)
+    found = at_fixed_width(check, every, parts.config.width)
+    return Corrections(
+        goals=goals,
+        arrival_times=times,
+        reasons=np.asarray(found.margins.reasons) & ~np.uint32(Reason.DEVIATION),
+        splines=found.splines,
+        margins=found.margins,
+    )
+
+
+def _ways(
+    parts: Parts, state: FlatState, prospect: Prospect
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Goals and stops [m, world], when the goals are reached and how long each stop takes [s]."""
+    wanted = parts.keep.least + SPARE
+    goals, times, passing = _goals(parts, state, prospect, wanted)
+    speed = np.linalg.norm(passing, axis=1)
+    decelerations, turns, climbs = (axis.ravel() for axis in np.meshgrid(DECELERATIONS, TURNS, CLIMBS, indexing="ij"))
+    rests = np.maximum(SHORTEST_STOP, REACTION + speed[:, None] / decelerations)
+    course, climb = np.arctan2(passing[:, 1], passing[:, 0]), np.arcsin(passing[:, 2] / np.maximum(speed, 1e-9))
+    heading, pitch = course[:, None] + np.radians(turns), 0.5 * climb[:, None] + np.radians(climbs)
+    level = np.cos(pitch)
+    directions = np.stack([np.cos(heading) * level, np.sin(heading) * level, np.sin(pitch)], axis=2)
+    stops = goals[:, None] + 0.45 * (rests * speed[:, None])[..., None] * directions
+    cost = TURN_COST * np.abs(turns) + CLIMB_COST * np.abs(climbs) + LONG_COST * (decelerations < max(DECELERATIONS))
+    shares = np.linspace(0.0, 1.0, LOOKED_AT + 1)[1:, None, None, None]
+    cost = cost + NEAR_COST * _missing(parts, goals[:, None] + shares * (stops - goals[:, None]), wanted)
+    best = np.argsort(cost, axis=1, kind="stable")[:, :STOPS]
+    return (
+        np.repeat(goals, STOPS, axis=0),
+        np.take_along_axis(stops, best[..., None], axis=1).reshape(-1, 3),
+        np.repeat(times, STOPS),
+        np.take_along_axis(rests, best, axis=1).ravel(),
+    )
+
+
+def _goals(
+    parts: Parts, state: FlatState, prospect: Prospect, wanted: float
+) -> tuple[Float[np.ndarray, "g 3"], Float[np.ndarray, "g"], Float[np.ndarray, "g 3"]]:
+    """Goals [m, world], their times [s] and how they are passed [m/s], those first whose ways are clear."""
+    paces = np.clip(np.array(PACES) * _least_time(state, prospect), *TIMES)
+    there = np.stack([prospect.mean_at(time) for time in paces])
+    carried, shares = _carried(state, paces), np.array(SHARES)[None, :, None]
+    goals = (carried[:, None] + shares * (there - carried)[:, None]).reshape(-1, 3)
+    times = np.repeat(paces, len(SHARES))
+    position, velocity = np.asarray(state.pos), np.asarray(state.vel)
+    since = np.linspace(0.0, 1.0, LOOKED_AT + 1)[1:, None, None]
+    straight = position + since * times[:, None] * velocity
+    way = straight + since**2 * (goals - position - times[:, None] * velocity)
+    order = np.argsort(_missing(parts, way, wanted), kind="stable")[:GOALS]
+    goals, times = goals[order], times[order]
+    even = (goals - position) / times[:, None]
+    passing = 2.0 * even - velocity
+    slow = np.linalg.norm(passing, axis=1) < SLOW
+    return goals, times, np.where(slow[:, None], even, passing)
+
+
+def _missing(parts: Parts, ways: Float[np.ndarray, "p *n 3"], wanted: float) -> Float[np.ndarray, "*n"]:
+    """By how much [m] each way's points come closer to something than wanted."""
+    free = parts.room.free_distance(ways.reshape(-1, 3)).reshape(ways.shape[:-1])
+    return np.maximum(wanted - free.min(axis=0), 0.0)
+
+
+def _carried(state: FlatState, times: Float[np.ndarray, "t"]) -> Float[np.ndarray, "t 3"]:
+    """Where the vehicle is [m, world] at ``times`` [s] if its acceleration is over soon."""
+    begun, times = np.minimum(times, CARRIED)[:, None], times[:, None]
+    turned = np.asarray(state.acc) * (0.5 * begun**2 + begun * (times - begun))
+    return np.asarray(np.asarray(state.pos) + np.asarray(state.vel) * times + turned)
+
+
+def _least_time(state: FlatState, prospect: Prospect) -> float:
+    """The first instant [s] at which the expected target can be reached with ``ACCELERATION``."""
+    times = prospect.times[1:]
+    missing = np.linalg.norm(prospect.mean[1:] - _carried(state, times), axis=1)
+    near = missing <= 0.5 * ACCELERATION * times**2
+    return float(times[np.argmax(near)]) if near.any() else TIMES[1]

@@ -1,0 +1,227 @@
+"""What a cycle chooses: a better interception, the committed plan made sooner, an approach, or a stop.
+
+Plans are compared by the paper's eq. 9, or, where a predictor knows the target's possible motions as a whole, by how
+soon they are expected to capture it (``jaxplan.planner.capture``). In both cases the committed plan is a rival like the
+others, what is chosen is made sooner where there is time, and nothing is chosen that the last look refuses.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxplan.planner import (
+    HITS,
+    Approaches,
+    Corrections,
+    Planner,
+    Plans,
+    Prospect,
+    Refined,
+    Seed,
+    Stops,
+    Timer,
+    capture_time,
+    capture_times,
+    expected_goals,
+    select_stop,
+)
+from jaxplan.prediction.candidates import Candidates
+from jaxplan.replanner.choice import (
+    Chosen,
+    Start,
+    chosen_from,
+    chosen_refined,
+    seed_of_committed,
+    seed_of_plan,
+    seed_towards,
+)
+from jaxplan.replanner.incumbent import NO_INCUMBENT, Incumbent, incumbent_among
+from jaxplan.replanner.pace import Pace
+from jaxplan.replanner.records import CommittedPlan, ReplannerConfig
+from jaxplan.status import PlanStatus, Reason
+
+LOOKED_AT = 4
+"""Plans of a kind that a cycle takes a last look at (arbitrary: more than one is hardly ever refused)."""
+APPROACHED = (0.5, 0.9, 1.4, 2.0)
+"""Seconds from the start after which the target is expected where it is approached (arbitrary)."""
+
+Outcome = tuple[PlanStatus, Chosen | None]
+"""What the cycle came to, and what is committed."""
+
+
+class Known(NamedTuple):
+    """What a cycle knows when it decides."""
+
+    start: Start
+    candidates: Candidates
+    """Times count from the start."""
+    prospect: Prospect | None
+    """The target's futures, where plans are compared by them."""
+    committed: CommittedPlan
+    certain: bool
+    """Whether the committed plan is known to be clear, and the vehicle on it."""
+
+    @property
+    def since(self) -> float:
+        """Time of the committed plan's own [s] at the start."""
+        return self.start.takeover - self.committed.start_time
+
+
+class Decision:
+    """One cycle's choice, and what it cost."""
+
+    def __init__(
+        self, planner: Planner, config: ReplannerConfig, pace: Pace, latency: float, known: Known, timer: Timer
+    ) -> None:
+        self._planner, self._config, self._known, self._timer = planner, config, known, timer
+        self._pace, self._latency = pace, 1e3 * latency
+        self.incumbent = self._incumbent()
+        self.refused = 0
+        """Plans that passed every check but the last look."""
+
+    def among(self, plans: Plans) -> Outcome:
+        """The choice among a cycle's plans and what there is beside them."""
+        prospect = self._known.prospect
+        return self._by_score(plans) if prospect is None else self._by_capture(plans, prospect)
+
+    def stop(self, status: PlanStatus) -> Outcome:
+        """What ``select_stop`` takes; where none is clear, only if the committed plan hits harder."""
+        start, committed = self._known.start, self._known.committed
+        stops = self._planner.brake(start.state, committed.spline, self._known.since)
+        best = select_stop(stops)
+        if best >= 0 and not stops.reasons[best] & np.uint32(HITS):
+            return status, chosen_from(stops, best, np.nan)
+        hit = self._planner.impact(committed.spline, self._known.since)
+        softer = best >= 0 and (stops.impact[best] < hit or (start.measured and stops.impact[best] == 0.0))
+        return PlanStatus.BLOCKED, chosen_from(stops, best, np.nan) if softer else None
+
+    def _incumbent(self) -> Incumbent:
+        """What the committed plan is worth; nothing where it is not clear, or the vehicle not on it."""
+        known, config = self._known, self._planner.config
+        if not known.certain:
+            return NO_INCUMBENT
+        if known.prospect is None:
+            takeover, weight = known.start.takeover, config.likelihood_weight
+            return incumbent_among(known.committed, known.candidates, takeover, weight, self._config)
+        time = capture_time(known.prospect, known.committed.spline, known.since)
+        return Incumbent(-time, known.prospect.mean_at(time), np.nan)
+
+    def _by_score(self, plans: Plans) -> Outcome:
+        """The ladder: a better interception, the committed one, an approach, a stop if need be, what is committed."""
+        candidates, incumbent = self._known.candidates, self.incumbent
+        best = self._best(plans, plans.score)
+        if best >= 0 and plans.score[best] > incumbent.score:
+            refined = self._refined(seed_of_plan(plans, best, candidates), float(plans.score[best]))
+            return PlanStatus.INTERCEPT, refined or chosen_from(plans, best, float(plans.alpha[best]), best)
+        if np.isfinite(incumbent.score):
+            seed = seed_of_committed(self._known.committed, incumbent, self._known.start.takeover)
+            refined = self._refined(seed, incumbent.score)
+            return (PlanStatus.INTERCEPT, refined) if refined else (PlanStatus.KEPT_COMMITTED, None)
+        approaches = self._approaches()
+        best = self._best(approaches, -approaches.lateness)
+        if best >= 0:
+            refined = self._refined(seed_of_plan(approaches, best, candidates), -np.inf)
+            approached = chosen_from(approaches, best, float(approaches.alpha[best]))
+            return (PlanStatus.INTERCEPT, refined) if refined else (PlanStatus.APPROACH, approached)
+        if not self._known.certain:
+            return self.stop(PlanStatus.BRAKE)
+        if (np.asarray(candidates.reasons) & np.uint32(Reason.TARGET_LOST)).all():
+            return PlanStatus.TARGET_LOST, None
+        usable = bool((plans.reasons == 0).any()) or len(approaches.reasons) > 0
+        return (PlanStatus.KEPT_COMMITTED if usable else PlanStatus.NO_CANDIDATE), None
+
+    def _by_capture(self, plans: Plans, prospect: Prospect) -> Outcome:
+        """The ladder: what is expected to capture soonest, be it a plan, a correction or the committed one; a stop.
+
+        Where no plan and no correction passes, approaches are looked at instead.
+        """
+        least = self.incumbent.score + self._planner.config.capture.gain
+        score, status, chosen = self._soonest(plans, prospect, least)
+        if chosen is None and not np.isfinite(self.incumbent.score):
+            return self.stop(PlanStatus.BRAKE)
+        committed, since = self._known.committed.spline, self._known.since
+        spline, since = (committed, since) if chosen is None else (chosen.spline, 0.0)
+        refined = self._refined(seed_towards(prospect, spline, since, self._config.reach), score)
+        return (PlanStatus.INTERCEPT, refined) if refined else (status, chosen)
+
+    def _soonest(self, plans: Plans, prospect: Prospect, least: float) -> tuple[float, PlanStatus, Chosen | None]:
+        """The best score above ``least`` and who has it; ``least`` and nobody where there is none."""
+        corrections = self._planner.correct(self._known.start.state, prospect)
+        corrected = -capture_times(prospect, corrections.splines)
+        self._timer.lap("correct")
+        found = (least, PlanStatus.KEPT_COMMITTED, None)
+        if (plans.reasons == 0).any() or (corrections.reasons == 0).any():
+            best = self._best(plans, plans.score, least)
+            if best >= 0:
+                chosen = chosen_from(plans, best, float(plans.alpha[best]), best)
+                found = (float(plans.score[best]), PlanStatus.INTERCEPT, chosen)
+            best = self._best(corrections, corrected, found[0])
+            if best >= 0:
+                found = (float(corrected[best]), PlanStatus.INTERCEPT, chosen_from(corrections, best, np.nan))
+            return found
+        approaches = self._approaches()
+        if len(approaches.reasons):
+            score = -capture_times(prospect, approaches.splines)
+            best = self._best(approaches, score, least)
+            if best >= 0:
+                chosen = chosen_from(approaches, best, float(approaches.alpha[best]))
+                return float(score[best]), PlanStatus.APPROACH, chosen
+        stops = self._planner.brake(self._known.start.state, self._known.committed.spline, self._known.since)
+        score = -capture_times(prospect, stops.splines)
+        self._timer.lap("stop")
+        best = self._best(stops, score, least)
+        if best >= 0:
+            found = (float(score[best]), PlanStatus.APPROACH, chosen_from(stops, best, np.nan))
+        return found
+
+    def _approaches(self) -> Approaches:
+        """Of the latest candidates, or, where the futures are known, of where the target is expected soon."""
+        prospect, candidates = self._known.prospect, self._known.candidates
+        if prospect is not None:
+            candidates = expected_goals(prospect, np.asarray(candidates.target), APPROACHED)
+        approaches = self._planner.approach(self._known.start.state, candidates)
+        self._timer.lap("approach")
+        return approaches
+
+    def _refined(self, seed: Seed, score: float) -> Chosen | None:
+        """An interception that is enough sooner than ``seed``, which is worth ``score``; None where there is none."""
+        steps = self._steps()
+        if steps == 0:
+            return None
+        before, start = self._timer.total, self._known.start
+        refined = self._planner.refine(start.state, self._known.candidates, seed, steps)
+        self._timer.lap("refine")
+        if refined is not None and steps is not None:
+            self._pace.took(self._timer.total - before, steps)
+        if refined is None or refined.reasons or not self._is_better(refined, score):
+            return None
+        if self._planner.validate(refined.spline, 0.0, start.state, start.wider).faults:
+            self.refused += 1
+            return None
+        return chosen_refined(refined, seed)
+
+    def _is_better(self, refined: Refined, score: float) -> bool:
+        """Whether a refined plan is worth more than what it began from, and enough so."""
+        if self._known.prospect is None:
+            return refined.score >= score + self._planner.config.least_gain
+        return -capture_time(self._known.prospect, refined.spline) > score
+
+    def _steps(self) -> int | None:
+        """Of a refinement, for which there is time; None, which means all, where late plans are flown all the same."""
+        planned = self._planner.config.refinement
+        if not self._config.drop_late or planned is None:
+            return None
+        return min(self._pace.steps(self._latency - self._timer.total, self._latency), planned.iterations)
+
+    def _best(
+        self, among: Plans | Approaches | Corrections | Stops, score: Float[np.ndarray, "k"], least: float = -np.inf
+    ) -> int:
+        """The usable trajectory of the largest score above ``least`` that passes the last look; -1 for none."""
+        start = self._known.start
+        usable: Int[np.ndarray, "n"] = np.flatnonzero((among.reasons == 0) & np.isfinite(score) & (score > least))
+        for index in usable[np.argsort(-score[usable], kind="stable")][:LOOKED_AT].tolist():
+            if not self._planner.validate(among.spline(index), 0.0, start.state, start.wider).faults:
+                return int(index)
+            self.refused += 1
+        return -1

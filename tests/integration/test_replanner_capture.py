@@ -1,0 +1,166 @@
+"""Deciding by the target's possible futures: corrections in flight, and the loop, in environment 1."""
+
+
+import numpy as np
+import pytest
+
+from jaxplan.compilation import compilations
+from jaxplan.planner import build_planner, prospect_for, select
+from jaxplan.policy.constant_speed import constant_speed_policy
+from jaxplan.prediction.candidates import Candidates, candidates_from, later
+from jaxplan.prediction.futures import Futures
+from jaxplan.prediction.observations import first_observation
+from jaxplan.records import replace
+from jaxplan.replanner import Replanner
+from jaxplan.spline import FlatState, hover
+from jaxplan.status import PlanStatus, Reason
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.world.load import load_world
+from oracles.planner_cases import CONFIG, START
+from tolerances import tolerance
+
+TIMES = 0.1 * np.arange(1, 21)
+
+
+@pytest.fixture(scope="module")
+def planner():
+    built = build_planner(CONFIG, world=load_world("env1"), vehicle=load_vehicle(), policy=constant_speed_policy())
+    built.warmup(hover(START))
+    return built
+
+
+def flying(speed: float) -> FlatState:
+    """Northwards along the western wall."""
+    derivatives = np.zeros((5, 3))
+    derivatives[0], derivatives[1] = [-4.2, -3.5, 1.0], [0.0, speed, 0.0]
+    return FlatState(derivatives=derivatives, yaw=np.zeros(3))
+
+
+def predicted(
+    *velocities: tuple[float, float, float], place: tuple[float, float, float] = (-4.2, 0.0, 1.0)
+) -> Candidates:
+    """A target at a place that goes on at one of some velocities, all as likely; its goals are those of all of them."""
+    motions = np.array(place) + np.r_[0.0, TIMES][:, None] * np.array(velocities)[:, None]
+    count = len(velocities)
+    goals = np.moveaxis(motions[:, 1:], 0, 1).reshape(-1, 3)
+    found = candidates_from(np.array(place), goals, np.repeat(TIMES, count), np.zeros(len(goals)))
+    futures = Futures(times=np.r_[0.0, TIMES], positions=motions, weights=np.full(count, 1.0 / count))
+    return replace(found, futures=futures)
+
+
+class Always:
+    """A predictor that always says the same of what comes from now on, or one thing after another."""
+
+    def __init__(self, *answers: Candidates) -> None:
+        self.answers = answers
+
+    def __call__(self, observations: object, cycle: int) -> Candidates:
+        return self.answers[cycle % len(self.answers)]
+
+
+class Passing:
+    """One motion of the target, as time passes."""
+
+    def __init__(self, whole: Candidates, spread: float) -> None:
+        self.whole, self.spread, self.rng = whole, spread, np.random.default_rng(0)
+
+    def __call__(self, observations: object, cycle: int) -> Candidates:
+        """Told anew in each cycle, with noise on whole motions."""
+        whole = later(self.whole, 0.1 * cycle)
+        futures = whole.futures
+        assert futures is not None
+        moved = futures.positions + self.spread * self.rng.normal(size=(len(futures.positions), 1, 3))
+        goals = np.moveaxis(moved[:, 1:], 0, 1).reshape(-1, 3)
+        return replace(whole, goals=goals, futures=replace(futures, positions=moved))
+
+
+@pytest.mark.parametrize("speed", [0.0, 3.0, 6.0])
+def test_corrections_are_plans_like_others(planner, speed):
+    """They begin where the vehicle is, with all derivatives, come to rest, and pass the last look."""
+    state, candidates = flying(speed), predicted((0.0, 2.0, 0.0))
+    prospect = prospect_for(planner.config, candidates)
+    found = planner.correct(state, prospect)
+    usable = np.flatnonzero(found.reasons == 0)
+    assert len(usable) >= 5
+    for index in usable:
+        spline = found.spline(index)
+        np.testing.assert_allclose(spline.state(0.0).derivatives, state.derivatives, **tolerance("solve"))
+        end = spline.state(float(spline.duration)).derivatives
+        np.testing.assert_allclose(end[1:4], np.zeros((3, 3)), **tolerance("solve"))
+        passed = spline.evaluate(found.arrival_times[index])[:3]
+        np.testing.assert_allclose(passed, found.goals[index], **tolerance("solve"))
+        assert not planner.validate(spline, 0.0, state).faults
+    assert not (found.reasons & np.uint32(Reason.DEVIATION)).any()
+
+
+def test_a_correction_meets_what_is_expected_soon(planner):
+    """3 m ahead of a flight at 6 m/s, and no route is asked for."""
+    state, candidates = flying(6.0), predicted((0.0, 1.0, 0.0))
+    prospect = prospect_for(planner.config, candidates)
+    found = planner.correct(state, prospect)
+    there = np.stack([prospect.mean_at(time) for time in found.arrival_times])
+    met = (np.linalg.norm(found.goals - there, axis=1) < 0.05) & (found.reasons == 0)  # but for the prospect's grid
+    assert met.any()
+    assert found.arrival_times[met].min() < 0.8
+
+
+def test_the_loop_goes_for_what_most_futures_have_in_common(planner):
+    """Eight of nine futures stay in the north; the ninth, to the paper worth as much, is met sooner."""
+    north = (-4.2, -1.5, 1.0)
+    candidates = predicted(*[(0.0, 0.01 * k, 0.0) for k in range(8)], (0.0, -2.5, 0.0), place=north)
+    paper = planner.plan_batch(hover(START), replace(candidates, futures=None))
+    capture = planner.plan_batch(hover(START), candidates)
+    assert paper.goals[select(paper)][1] < -2.0
+    assert capture.goals[select(capture)][1] > -1.6
+
+
+def test_what_is_drawn_anew_in_each_cycle_does_not_change_the_plan(planner):
+    """The motion that was expected happens, told with 5 cm of noise: one plan, or two, meet it."""
+    whole = predicted((0.0, 0.5, 0.0), (0.0, 0.6, 0.0), (0.05, 0.55, 0.0))
+    replanner = Replanner(planner, Passing(whole, 0.05), hover(START))
+    seen = first_observation(0.0, np.array([-4.2, 0.0, 1.0]))
+    cycles = [replanner.step(0.1 * cycle, seen) for cycle in range(10)]
+    assert cycles[0].status is PlanStatus.INTERCEPT
+    assert sum(cycle.chosen >= 0 or cycle.jump is not None for cycle in cycles) <= 4
+    assert all(cycle.jump is None or (cycle.jump[:4] <= 1e-6).all() for cycle in cycles)
+
+
+class Turning:
+    """A target that flies north and turns back after 0.5 s; expected to go on as it does now, more or less."""
+
+    def __call__(self, observations: object, cycle: int) -> Candidates:
+        now = self.at(np.array([0.1 * cycle]))[0]
+        velocity = 1.5 if cycle < 5 else -1.5
+        return predicted(*[(0.1 * k, velocity + 0.1 * k, 0.0) for k in (-1, 0, 1)], place=tuple(now.tolist()))
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        north = 1.5 * np.minimum(times, 0.5) - 1.5 * np.maximum(times - 0.5, 0.0)
+        return np.stack([np.full(len(times), -4.2), 1.0 + north, np.ones(len(times))], axis=-1)
+
+
+def test_a_target_that_turns_back_is_met(planner):
+    target, seen = Turning(), first_observation(0.0, np.array([-4.2, 1.0, 1.0]))
+    replanner = Replanner(planner, target, hover(START))
+    cycles = [replanner.step(0.1 * cycle, seen) for cycle in range(25)]
+    times = np.arange(0.0, 2.5, 0.01)
+    apart = np.linalg.norm(replanner.reference(times).pos - target.at(times), axis=1)
+    assert apart.min() <= 0.36
+    assert times[np.argmax(apart <= 0.36)] < 2.0
+    assert all(cycle.jump is None or (cycle.jump[:4] <= 1e-6).all() for cycle in cycles)
+
+
+def test_without_futures_plans_are_compared_as_in_the_paper(planner):
+    candidates = replace(predicted((0.0, 1.0, 0.0)), futures=None)
+    assert prospect_for(planner.config, candidates) is None
+    plans = planner.plan_batch(hover(START), candidates)
+    np.testing.assert_allclose(plans.score, candidates.likelihood - candidates.arrival_times, **tolerance("exact"))
+
+
+def test_nothing_compiles_after_the_warm_up(planner):
+    """Not even where the futures are other in number."""
+    seen, before = first_observation(0.0, np.array([-4.2, 0.0, 1.0])), compilations()
+    for velocities in ([(0.0, 1.5, 0.0)], [(0.0, 1.5, 0.0), (0.3, 1.0, 0.0)]):
+        replanner = Replanner(planner, Always(predicted(*velocities)), hover(START))
+        for cycle in range(5):
+            replanner.step(0.1 * cycle, seen)
+    assert compilations() == before
