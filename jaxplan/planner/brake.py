@@ -12,10 +12,12 @@ from jaxtyping import Float, Int
 
 from jaxplan.batching import at_fixed_width, pick
 from jaxplan.knots import MAX_WAYPOINTS
+from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.planner.border import usual_spline, usual_state
 from jaxplan.planner.parts import Members, Parts
-from jaxplan.planner.records import Stops
+from jaxplan.planner.records import HITS, Stops
 from jaxplan.planner.stations import Routes, Trajectories, shortened
+from jaxplan.polynomials import derivative_table
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import Reason
 from jaxplan.validation import as_number
@@ -74,16 +76,18 @@ def brake(parts: Parts, state: FlatState, along: PiecewisePolynomial | None = No
         return parts.stations.clear_finely(parts.world, solved)
 
     found = at_fixed_width(check, np.arange(count), parts.config.width)
-    unfit = np.asarray(found.margins.reasons) & ~np.uint32(Reason.DEVIATION)
-    splines = [found.splines.spline(one) for one in range(count)]
+    reasons = np.asarray(found.margins.reasons)
+    touching = np.flatnonzero(reasons & np.uint32(HITS))
+    hits = np.zeros(count)
+    hits[touching] = [impact(parts, found.splines.spline(one), 0.0) for one in touching]
     return Stops(
         goals=waypoints[-1].T,
         arrival_times=times,
-        reasons=unfit,
+        reasons=reasons & ~np.uint32(Reason.DEVIATION),
         splines=found.splines,
         margins=found.margins,
-        impact=np.array([impact(parts, spline, 0.0) for spline in splines]),
-        thrust=np.array([_thrust(parts, spline) for spline in splines]),
+        impact=hits,
+        thrust=_thrusts(parts, found.splines),
     )
 
 
@@ -97,12 +101,17 @@ def impact(parts: Parts, spline: PiecewisePolynomial, since: float) -> float:
     return float(speeds[np.argmax(touching)]) if touching.any() else 0.0
 
 
-def _thrust(parts: Parts, spline: PiecewisePolynomial) -> float:
-    """The most that a trajectory asks for [m/s^2, per mass], without drag."""
-    acceleration = np.asarray(spline.evaluate(np.linspace(0.0, float(spline.duration), INSTANTS), 2))[:, :3]
-    upwards = np.array([0.0, 0.0, float(parts.vehicle.gravity)])
-    most = np.linalg.norm(acceleration + upwards, axis=1).max()
-    return float(most) if np.isfinite(most) else np.inf
+def _thrusts(parts: Parts, splines: SplineBatch) -> Float[np.ndarray, "k"]:
+    """The most that each trajectory asks for [m/s^2, per mass], without drag."""
+    segments, terms, axes, count = splines.position.shape
+    table = derivative_table(terms, np.linspace(0.0, 1.0, INSTANTS), 2)
+    even = np.matmul(table, np.asarray(splines.position).reshape(segments, terms, axes * count))
+    durations = np.asarray(splines.durations)[:, None, None]
+    squared = np.where(durations > 0.0, durations, 1.0) ** 2
+    upwards = np.array([0.0, 0.0, float(parts.vehicle.gravity)])[:, None]
+    acceleration = even.reshape(segments, INSTANTS, axes, count) / squared + upwards
+    most = np.where(durations > 0.0, np.linalg.norm(acceleration, axis=2)[:, :, None], 0.0).max(axis=(0, 1, 2))
+    return np.where(np.isfinite(most), most, np.inf)
 
 
 def _straight(state: FlatState) -> _Ways:

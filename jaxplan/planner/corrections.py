@@ -44,8 +44,8 @@ SPARE = 0.1
 """m of clearance beyond what is kept at least, that ways are looked for with."""
 LOOKED_AT = 5
 """Points of a way whose clearance is looked at (arbitrary: what is found is checked anyway)."""
-LEAST_PROBABILITY = 0.9
-"""Of being tracked: corrections follow one another, and errors add up that a single flight would not have."""
+LEAST_PROBABILITY = 0.8
+"""Of being tracked, as for the profile of speeds."""
 SLOW = 0.5
 """m/s; what passes its goal more slowly stops along the way to it."""
 

@@ -100,8 +100,10 @@ class Parts(NamedTuple):
         if prospect is None or not len(times):
             return self.config.likelihood_weight * np.asarray(candidates.likelihood) - times
 
+        thinned = prospect.thinned()
+
         def ask(some: Members) -> _Scores:
-            return -straight_capture_times(prospect, state, goals[some], times[some])
+            return -straight_capture_times(thinned, state, goals[some], times[some])
 
         return at_fixed_width(ask, np.arange(len(times)), GOALS_AT_ONCE)
 
