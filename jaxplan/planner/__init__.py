@@ -5,19 +5,8 @@ candidates -> search -> knots -> policy <-> arrival -> minimum snap -> checks ->
 
 from jaxplan.planner.build import build_planner
 from jaxplan.planner.capture import CaptureConfig, Prospect, capture_time, capture_times, expected_goals
-from jaxplan.planner.records import (
-    HITS,
-    Approaches,
-    Corrections,
-    Planner,
-    PlannerConfig,
-    Plans,
-    Stops,
-    prospect_for,
-    select,
-    select_approach,
-    select_stop,
-)
+from jaxplan.planner.fallbacks import HITS, Approaches, Corrections, Stops, select_approach, select_stop
+from jaxplan.planner.records import Planner, PlannerConfig, Plans, prospect_for, select
 from jaxplan.planner.refined import Refined, RefinementConfig, Seed
 from jaxplan.planner.timer import Timer
 from jaxplan.planner.validator import Fault, Verdict

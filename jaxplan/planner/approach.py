@@ -10,8 +10,8 @@ from jaxtyping import Float, Int
 from jaxplan.arrival import time_to
 from jaxplan.batching import join, pick
 from jaxplan.planner.border import usual_candidates, usual_state
+from jaxplan.planner.fallbacks import Approaches
 from jaxplan.planner.parts import Parts
-from jaxplan.planner.records import Approaches
 from jaxplan.planner.stations import Routes, no_trajectories
 from jaxplan.planner.table import Table, reject, table_of
 from jaxplan.prediction.candidates import Candidates

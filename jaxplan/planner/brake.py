@@ -14,8 +14,8 @@ from jaxplan.batching import at_fixed_width, pick
 from jaxplan.knots import MAX_WAYPOINTS
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.planner.border import usual_spline, usual_state
+from jaxplan.planner.fallbacks import HITS, Stops
 from jaxplan.planner.parts import Members, Parts
-from jaxplan.planner.records import HITS, Stops
 from jaxplan.planner.stations import Routes, Trajectories, shortened
 from jaxplan.polynomials import derivative_table
 from jaxplan.spline import FlatState, PiecewisePolynomial

@@ -14,8 +14,8 @@ from jaxplan.batching import at_fixed_width, pick
 from jaxplan.knots import MAX_WAYPOINTS
 from jaxplan.planner.border import usual_state
 from jaxplan.planner.capture import Prospect
+from jaxplan.planner.fallbacks import Corrections
 from jaxplan.planner.parts import Members, Parts
-from jaxplan.planner.records import Corrections
 from jaxplan.planner.stations import Routes, Trajectories, shortened
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason

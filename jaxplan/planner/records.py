@@ -12,6 +12,7 @@ from jaxplan.errors import InputError
 from jaxplan.knots import KnotConfig
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.planner.capture import CaptureConfig, Prospect, prospect_of
+from jaxplan.planner.fallbacks import Approaches, Corrections, Stops
 from jaxplan.planner.refined import Refine, RefinementConfig
 from jaxplan.planner.timer import Timer
 from jaxplan.planner.validator import ValidatorConfig, Verdict
@@ -21,7 +22,6 @@ from jaxplan.search.lattice import METHODS, MOST_ALTERNATIVES
 from jaxplan.selection import CheckConfig, Margins
 from jaxplan.selection import select as select_best
 from jaxplan.spline import FlatState, PiecewisePolynomial
-from jaxplan.status import Reason
 from jaxplan.validation import (
     checks_itself,
     require_at_least,
@@ -113,8 +113,8 @@ class PlannerConfig:
 
 def prospect_for(config: PlannerConfig, candidates: Candidates) -> Prospect | None:
     """The target's futures from the start on, where plans are compared by them; None: by the paper's eq. 9."""
-    asked = config.selection == "capture" and candidates.futures is not None
-    return prospect_of(candidates.futures, config.capture) if asked else None
+    futures = candidates.futures if config.selection == "capture" else None
+    return None if futures is None else prospect_of(futures, config.capture)
 
 
 @record
@@ -145,109 +145,9 @@ class Plans:
         return float(np.asarray(self.margins.probability)[self.trajectory[index]])
 
 
-@record
-class Approaches:
-    """Trajectories towards goals that cannot be met in time, each a goal, a part of its path and a pace."""
-
-    goals: Float[np.ndarray, "n 3"]
-    """Positions [m, world] that the paths lead to."""
-    arrival_times: Float[np.ndarray, "n"]
-    """When each target is at its goal [s from the start state]."""
-    alpha: Float[np.ndarray, "n"]
-    """Scale factor of the time allocation."""
-    lateness: Float[np.ndarray, "n"]
-    """How much later than the target [s] the vehicle would be at the goal at this pace."""
-    reasons: UInt32[np.ndarray, "n"]
-    """0 means usable."""
-    splines: SplineBatch
-    margins: Margins
-
-    def spline(self, index: SupportsIndex) -> PiecewisePolynomial:
-        """One of the trajectories (host, NumPy)."""
-        return self.splines.spline(index)
-
-    def probability(self, index: SupportsIndex) -> float:
-        """Of trajectory ``index`` being tracked, by the classifier; NaN where the rotor limits decided."""
-        return float(np.asarray(self.margins.probability)[index])
-
-
-@record
-class Corrections:
-    """Short trajectories straight towards where the target is expected, for a vehicle in flight."""
-
-    goals: Float[np.ndarray, "n 3"]
-    """Positions [m, world] that are passed."""
-    arrival_times: Float[np.ndarray, "n"]
-    """When [s from the start state]."""
-    reasons: UInt32[np.ndarray, "n"]
-    """0 means usable."""
-    splines: SplineBatch
-    margins: Margins
-
-    def spline(self, index: SupportsIndex) -> PiecewisePolynomial:
-        """One of the trajectories (host, NumPy)."""
-        return self.splines.spline(index)
-
-    def probability(self, index: SupportsIndex) -> float:
-        """As ``Approaches.probability``."""
-        return float(np.asarray(self.margins.probability)[index])
-
-
-@record
-class Stops:
-    """Trajectories that come to rest as soon as may be, each in a direction and at a deceleration of its own."""
-
-    goals: Float[np.ndarray, "n 3"]
-    """Where they end [m, world]."""
-    arrival_times: Float[np.ndarray, "n"]
-    """How long they take [s]."""
-    reasons: UInt32[np.ndarray, "n"]
-    """0 means usable."""
-    splines: SplineBatch
-    margins: Margins
-    impact: Float[np.ndarray, "n"]
-    """How fast each is [m/s] where it first touches something; 0 where nowhere."""
-    thrust: Float[np.ndarray, "n"]
-    """The most that each asks for [m/s^2, per mass], without drag."""
-
-    def spline(self, index: SupportsIndex) -> PiecewisePolynomial:
-        """One of the trajectories (host, NumPy)."""
-        return self.splines.spline(index)
-
-    def probability(self, index: SupportsIndex) -> float:
-        """As ``Approaches.probability``."""
-        return float(np.asarray(self.margins.probability)[index])
-
-
-HITS = Reason.CLEARANCE | Reason.NONFINITE
-"""What no stop may have that is taken for a safe one."""
-
-
 def select(plans: Plans) -> int:
     """Index of the candidate to commit; -1 when nothing is usable, never index 0 by accident."""
     return select_best(plans.score, plans.reasons)
-
-
-def select_approach(approaches: Approaches) -> int:
-    """Index of the approach that is least late; -1 when none is usable."""
-    return select_best(-approaches.lateness, approaches.reasons)
-
-
-def select_stop(stops: Stops) -> int:
-    """Index of the gentlest stop; where none passes, of one that only turns fast, then the clear one of least thrust.
-
-    Where none is clear, of the one that hits least hard; -1 when none is finite.
-    """
-    turning = ~np.uint32(Reason.BODY_RATE)
-    for score, reasons in (
-        (stops.arrival_times, stops.reasons),
-        (stops.arrival_times, stops.reasons & turning),
-        (-stops.thrust, stops.reasons & np.uint32(HITS)),
-    ):
-        best = select_best(score, reasons)
-        if best >= 0:
-            return best
-    return select_best(-stops.impact, stops.reasons & np.uint32(Reason.NONFINITE))
 
 
 class PlanBatch(Protocol):

@@ -50,6 +50,20 @@ Outcome = tuple[PlanStatus, Chosen | None]
 """What the cycle came to, and what is committed."""
 
 
+Flights = Plans | Approaches | Corrections | Stops
+"""Trajectories that were solved and checked."""
+
+
+class _Rival(NamedTuple):
+    """The best so far."""
+
+    score: float
+    """What another one must be better than [s]."""
+    status: PlanStatus
+    chosen: Chosen | None
+    """None: the committed plan."""
+
+
 class Known(NamedTuple):
     """What a cycle knows when it decides."""
 
@@ -134,46 +148,42 @@ class Decision:
     def _by_capture(self, plans: Plans, prospect: Prospect) -> Outcome:
         """The ladder: what is expected to capture soonest, be it a plan, a correction or the committed one; a stop.
 
-        Where no plan and no correction passes, approaches are looked at instead.
+        Where no plan and no correction passes approaches are looked at, and then stops, which keep the ways open.
         """
-        least = self.incumbent.score + self._planner.config.capture.gain
-        score, status, chosen = self._soonest(plans, prospect, least)
-        if chosen is None and not np.isfinite(self.incumbent.score):
-            return self.stop(PlanStatus.BRAKE)
-        committed, since = self._known.committed.spline, self._known.since
-        spline, since = (committed, since) if chosen is None else (chosen.spline, 0.0)
-        refined = self._refined(seed_towards(prospect, spline, since, self._config.reach), score)
-        return (PlanStatus.INTERCEPT, refined) if refined else (status, chosen)
-
-    def _soonest(self, plans: Plans, prospect: Prospect, least: float) -> tuple[float, PlanStatus, Chosen | None]:
-        """The best score above ``least`` and who has it; ``least`` and nobody where there is none."""
+        rival = _Rival(self.incumbent.score + self._planner.config.capture.gain, PlanStatus.KEPT_COMMITTED, None)
         corrections = self._planner.correct(self._known.start.state, prospect)
         corrected = -capture_times(prospect, corrections.splines)
         self._timer.lap("correct")
-        found = (least, PlanStatus.KEPT_COMMITTED, None)
         if (plans.reasons == 0).any() or (corrections.reasons == 0).any():
-            best = self._best(plans, plans.score, least)
-            if best >= 0:
-                chosen = chosen_from(plans, best, float(plans.alpha[best]), best)
-                found = (float(plans.score[best]), PlanStatus.INTERCEPT, chosen)
-            best = self._best(corrections, corrected, found[0])
-            if best >= 0:
-                found = (float(corrected[best]), PlanStatus.INTERCEPT, chosen_from(corrections, best, np.nan))
-            return found
-        approaches = self._approaches()
-        if len(approaches.reasons):
-            score = -capture_times(prospect, approaches.splines)
-            best = self._best(approaches, score, least)
-            if best >= 0:
-                chosen = chosen_from(approaches, best, float(approaches.alpha[best]))
-                return float(score[best]), PlanStatus.APPROACH, chosen
-        stops = self._planner.brake(self._known.start.state, self._known.committed.spline, self._known.since)
-        score = -capture_times(prospect, stops.splines)
-        self._timer.lap("stop")
-        best = self._best(stops, score, least)
-        if best >= 0:
-            found = (float(score[best]), PlanStatus.APPROACH, chosen_from(stops, best, np.nan))
-        return found
+            rival = self._sooner(rival, plans, plans.score, PlanStatus.INTERCEPT)
+            rival = self._sooner(rival, corrections, corrected, PlanStatus.INTERCEPT)
+        else:
+            approaches = self._approaches()
+            rival = self._sooner(rival, approaches, self._scores(approaches, prospect), PlanStatus.APPROACH)
+            if rival.chosen is None:
+                stops = self._planner.brake(self._known.start.state, self._known.committed.spline, self._known.since)
+                rival = self._sooner(rival, stops, self._scores(stops, prospect), PlanStatus.APPROACH)
+                self._timer.lap("stop")
+        if rival.chosen is None and not np.isfinite(self.incumbent.score):
+            return self.stop(PlanStatus.BRAKE)
+        spline, since = self._known.committed.spline, self._known.since
+        if rival.chosen is not None:
+            spline, since = rival.chosen.spline, 0.0
+        refined = self._refined(seed_towards(prospect, spline, since, self._config.reach), rival.score)
+        return (PlanStatus.INTERCEPT, refined) if refined else (rival.status, rival.chosen)
+
+    def _sooner(self, rival: _Rival, among: Flights, score: Float[np.ndarray, "k"], status: PlanStatus) -> _Rival:
+        """The best of some trajectories, where it is better than ``rival``."""
+        best = self._best(among, score, rival.score)
+        if best < 0:
+            return rival
+        slowdown = float(among.alpha[best]) if isinstance(among, Plans | Approaches) else np.nan
+        chosen = chosen_from(among, best, slowdown, best if isinstance(among, Plans) else -1)
+        return _Rival(float(score[best]), status, chosen)
+
+    def _scores(self, among: Approaches | Stops, prospect: Prospect) -> Float[np.ndarray, "k"]:
+        """What some trajectories are worth [s]."""
+        return -capture_times(prospect, among.splines) if len(among.reasons) else np.zeros(0)
 
     def _approaches(self) -> Approaches:
         """Of the latest candidates, or, where the futures are known, of where the target is expected soon."""
@@ -214,9 +224,7 @@ class Decision:
             return None
         return min(self._pace.steps(self._latency - self._timer.total, self._latency), planned.iterations)
 
-    def _best(
-        self, among: Plans | Approaches | Corrections | Stops, score: Float[np.ndarray, "k"], least: float = -np.inf
-    ) -> int:
+    def _best(self, among: Flights, score: Float[np.ndarray, "k"], least: float = -np.inf) -> int:
         """The usable trajectory of the largest score above ``least`` that passes the last look; -1 for none."""
         start = self._known.start
         usable: Int[np.ndarray, "n"] = np.flatnonzero((among.reasons == 0) & np.isfinite(score) & (score > least))

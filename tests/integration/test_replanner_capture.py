@@ -1,6 +1,5 @@
 """Deciding by the target's possible futures: corrections in flight, and the loop, in environment 1."""
 
-
 import numpy as np
 import pytest
 

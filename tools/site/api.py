@@ -26,6 +26,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
 
 MODULES = (
     *("jaxplan.arrival", "jaxplan.knots", "jaxplan.selection", "jaxplan.search.lattice", "jaxplan.planner.refined"),
+    *("jaxplan.planner.capture", "jaxplan.planner.fallbacks", "jaxplan.prediction.futures"),
     *("jaxplan.planner.records", "jaxplan.replanner.records", "jaxplan.runtime", "jaxplan.io.export"),
     *("jaxplan.prediction.observations", "jaxplan.prediction.mixture", "jaxplan.world.update", "jaxplan.interception"),
     *("jaxplan.minsnap.many", "jaxplan.minsnap.spline_batch", "jaxplan.tracking.result", "jaxplan.vehicle.identity"),
