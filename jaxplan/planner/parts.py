@@ -28,9 +28,7 @@ from jaxplan.world.obstacles import World
 GOALS_AT_ONCE = 512
 """Candidates that are looked at before the search in one call: little work each (arbitrary)."""
 LEADS = (0.2, 0.1)
-"""Seconds from a start in flight to where its routes begin: the longest of which the way is clear."""
-LEAD_SPEED = 1.5
-"""m/s from which on a start is in flight."""
+"""Seconds from a start in fast flight to where its routes begin: the longest of which the way is clear (arbitrary)."""
 
 
 Members = Int[np.ndarray, "n"]
@@ -125,9 +123,12 @@ class Parts(NamedTuple):
         return ending_before(paths, self.config.meet_radius)
 
     def _lead(self, state: FlatState) -> Float[np.ndarray, "3"] | None:
-        """Where the vehicle will be soon whatever it does: routes from flight begin there; None where it is slow."""
+        """Where the vehicle will be soon whatever it does, from where on a profile of speeds plans; None where it is slow.
+
+        A profile takes what is not along the first leg for lost, and a route that turns at once is not followed.
+        """
         position, velocity, acceleration = (np.asarray(getattr(state, name)) for name in ("pos", "vel", "acc"))
-        if np.linalg.norm(velocity) < LEAD_SPEED:
+        if np.linalg.norm(velocity) <= self.config.policy_speed:
             return None
         for time in LEADS:
             shares = np.linspace(0.0, time, 5)[1:, None]
