@@ -259,13 +259,10 @@ def _capture_once(parts: Parts, state: FlatState, candidates: Candidates) -> Non
     still = Futures(times=np.zeros(1), positions=np.asarray(state.pos)[None, None] + 1.0, weights=np.ones(1))
     prospect = prospect_of(still, parts.config.capture)
     for length in LENGTHS:
-        segments, width = length - 1, parts.config.width
-        position, yaw = np.zeros((segments, 10, 3, width)), np.zeros((segments, 6, 1, width))
-        capture_times(prospect, SplineBatch(durations=np.ones((segments, width)), position=position, yaw=yaw))
-    found = correct(parts, state, prospect)
-    capture_times(prospect, found.splines)
-    capture_time(prospect, found.spline(0))
-    capture_times(prospect, brake(parts, state, found.spline(0)).splines)
+        segments = length - 1
+        position, yaw = np.zeros((segments, 10, 3, 1)), np.zeros((segments, 6, 1, 1))
+        capture_times(prospect, SplineBatch(durations=np.ones((segments, 1)), position=position, yaw=yaw))
+    capture_time(prospect, correct(parts, state, prospect).spline(0))
     plan_batch(parts, state, replace(candidates, futures=still))
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplan.arrays import AnyArray
+from jaxplan.batching import at_fixed_width, pick
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.precision import in_float64
 from jaxplan.prediction.candidates import Candidates, candidates_from
@@ -29,6 +30,8 @@ MOTIONS = 64
 """Futures that are looked at: more are thinned out, so that one program serves all predictors (arbitrary)."""
 STEP = 0.05
 """Seconds between the instants that are looked at (arbitrary: a correction reaches farther than is flown in it)."""
+AT_ONCE = 64
+"""Trajectories that are looked at in one call, so that one program serves any number of them."""
 RETURN_SPEED = 5.0
 """m/s at which what is missed by the horizon is counted (arbitrary)."""
 
@@ -115,8 +118,11 @@ def expected_goals(prospect: Prospect, target: Float[np.ndarray, "3"], times: Se
 
 @in_float64
 def capture_times(prospect: Prospect, splines: SplineBatch) -> Float[np.ndarray, "k"]:
-    """Expected seconds until each trajectory captures the target, at rest where it ends."""
-    return np.asarray(_of_splines(prospect, splines))
+    """Expected seconds until each trajectory captures the target, at rest where it ends; of any number of them."""
+    count = splines.durations.shape[1]
+    if count == 0:
+        return np.zeros(0)
+    return at_fixed_width(lambda some: _of_splines(prospect, pick(splines, some)), np.arange(count), AT_ONCE)
 
 
 @in_float64

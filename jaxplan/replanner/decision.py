@@ -159,10 +159,12 @@ class Decision:
             rival = self._sooner(rival, corrections, corrected, PlanStatus.INTERCEPT)
         else:
             approaches = self._approaches()
-            rival = self._sooner(rival, approaches, self._scores(approaches, prospect), PlanStatus.APPROACH)
+            score = -capture_times(prospect, approaches.splines)
+            rival = self._sooner(rival, approaches, score, PlanStatus.APPROACH)
             if rival.chosen is None:
                 stops = self._planner.brake(self._known.start.state, self._known.committed.spline, self._known.since)
-                rival = self._sooner(rival, stops, self._scores(stops, prospect), PlanStatus.APPROACH)
+                score = -capture_times(prospect, stops.splines)
+                rival = self._sooner(rival, stops, score, PlanStatus.APPROACH)
                 self._timer.lap("stop")
         if rival.chosen is None and not np.isfinite(self.incumbent.score):
             return self.stop(PlanStatus.BRAKE)
@@ -180,10 +182,6 @@ class Decision:
         slowdown = float(among.alpha[best]) if isinstance(among, Plans | Approaches) else np.nan
         chosen = chosen_from(among, best, slowdown, best if isinstance(among, Plans) else -1)
         return _Rival(float(score[best]), status, chosen)
-
-    def _scores(self, among: Approaches | Stops, prospect: Prospect) -> Float[np.ndarray, "k"]:
-        """What some trajectories are worth [s]."""
-        return -capture_times(prospect, among.splines) if len(among.reasons) else np.zeros(0)
 
     def _approaches(self) -> Approaches:
         """Of the latest candidates, or, where the futures are known, of where the target is expected soon."""
