@@ -58,8 +58,9 @@ class InterceptConfig:
     """Time, x, y and z of a recorded flight, by name or by number from 1; topic.field in a log with topics. Default:
     found by their names."""
 
-    predictor: Predictor = "ground-truth"
-    """How the target's future is predicted."""
+    predictor: Predictor = "fused"
+    """How the target's future is predicted: from what is seen of it, or, to study a planner, as it really is
+    (ground-truth), which needs a target that is known beforehand."""
 
     target_model: str | None = None
     """A mixture for --predictor gmm (.npy, see jaxplan train gmm). Default: the world's own, or the generic one."""

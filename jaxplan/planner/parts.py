@@ -123,7 +123,7 @@ class Parts(NamedTuple):
         return ending_before(paths, self.config.meet_radius)
 
     def _lead(self, state: FlatState) -> Float[np.ndarray, "3"] | None:
-        """Where the vehicle will be soon whatever it does, from where a profile of speeds plans on; None where it is slow.
+        """Where the vehicle will be soon whatever it does, where a profile of speeds plans; None where it is slow.
 
         A profile takes what is not along the first leg for lost, and a route that turns at once is not followed.
         """

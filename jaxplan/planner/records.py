@@ -251,7 +251,7 @@ class Planner(NamedTuple):
         return (
             f"Planner with PlannerConfig({settings})\n"
             "  plan_batch(state, candidates): trajectories timed to meet each candidate; select(plans) is the best\n"
-            "  refine(state, candidates, seed): one sooner; correct(state, prospect), approach(state, candidates), brake(state)\n"
+            "  refine(state, candidates, seed): one sooner; if none is, approach(...), correct(...) or brake(state)\n"
             "  validate(spline), impact(spline, since): the last look at a plan\n"
             "  warmup(state): compile; in_world(world), update(change): the same planner elsewhere, after a change"
         )

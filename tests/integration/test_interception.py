@@ -234,7 +234,7 @@ def test_hover_state_survives_float32_scope():
 @pytest.mark.slow
 def test_an_episode_in_real_time_is_met_as_soon_and_no_setpoint_waits(tmp_path):
     """The planner in a process of its own, against the clock."""
-    config = InterceptConfig(out=str(tmp_path))
+    config = InterceptConfig(predictor="ground-truth", out=str(tmp_path))
     episode = interception.run_in_real_time(config)
     kept = episode.real_time
     assert episode.success

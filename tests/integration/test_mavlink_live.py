@@ -50,7 +50,7 @@ def test_where_a_pursuit_starts(tmp_path) -> None:
     room = tmp_path / "room.json"
     room.write_text('{"bounds": {"extents": [0, 5, 0, 5, 0, 3]}, "blocks": []}')
     for config, said in (
-        (InterceptConfig(), "knows the truth"),
+        (InterceptConfig(predictor="ground-truth"), "knows the truth"),
         (InterceptConfig(predictor="none", world=str(room)), "give --start"),
         (InterceptConfig(predictor="none", start=(50.0, 0.0, 1.0)), "clearance"),
     ):

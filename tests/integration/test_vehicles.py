@@ -70,7 +70,7 @@ def test_a_policy_of_ones_own_takes_the_place_of_the_shipped_ones() -> None:
 @pytest.mark.parametrize("name", FLOWN)
 def test_every_preset_meets_a_target(name: str) -> None:
     speed, padding = FLOWN[name]
-    config = InterceptConfig(vehicle=name, padding=padding, speed=speed)
+    config = InterceptConfig(vehicle=name, padding=padding, speed=speed, predictor="ground-truth")
     scenario = build_scenario(config)
     interception.warm_up(scenario)
     for target in ("env1-01", "env1-04", "env1-08"):
