@@ -83,7 +83,7 @@ class EpisodeConfig:
     padding: float = PADDING
     """Distance [m] that goals and paths keep from obstacles."""
     refine: bool = False
-    """Whether chosen plans are made sooner, and compared by capture, as ``InterceptConfig`` says; the paper does not."""
+    """Whether chosen plans are made sooner and compared by capture, as ``InterceptConfig`` does; the paper does not."""
 
 
 def available_planners() -> tuple[str, ...]:

@@ -171,7 +171,7 @@ class Trouble:
         return self._scenario.plant.fly(state, references, calm)
 
     def _place_a_box(self, now: float) -> None:
-        """On the committed path, beyond a stop; nowhere where the way is too short for that."""
+        """On the committed path, beyond a stop along it and straight on; nowhere where it is too short for that."""
         plan = self._replanner.committed
         times = np.arange(now, plan.start_time + float(plan.spline.duration), 0.01)
         if len(times) < 2:
@@ -181,10 +181,12 @@ class Trouble:
         way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(states.pos, axis=0), axis=1))])
         half = float(self._rng.uniform(*HALF))
         braking = BRAKING * sideways_acceleration(self._scenario.vehicle)
-        needed = way[ready] + np.linalg.norm(states.vel[ready]) ** 2 / (2.0 * braking) + half * np.sqrt(3.0) + 0.3
-        if way[-1] <= needed:
+        stopping = np.linalg.norm(states.vel[ready]) ** 2 / (2.0 * braking) + half * np.sqrt(3.0) + 0.3
+        away = np.linalg.norm(states.pos - states.pos[ready], axis=1)
+        beyond = (way - way[ready] > stopping) & (away > stopping)
+        if not beyond.any():
             return
-        middle = states.pos[int(np.argmax(way > needed))]
+        middle = states.pos[int(np.argmax(beyond))]
         change = update_world(with_spare_boxes(self._scenario.world, 1), add_box=(middle - half, middle + half))
         self.world, self.appeared = change.world, now
         self._replanner.update(change)
