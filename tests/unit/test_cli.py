@@ -245,7 +245,11 @@ USAGE = [
     (["intercept", "--departure", "inf"], 10, "--departure: have inf, want"),
     (["intercept", "--start", "1", "2", "nan"], 10, "--start: have nan, want"),
     (["intercept", "--seed", "-1"], 10, "--seed: have -1, want"),
-    (["intercept", "--target-model", "mine.npy"], 10, "--target-model: have 'mine.npy', want none unless"),
+    (
+        ["intercept", "--predictor", "none", "--target-model", "mine.npy"],
+        10,
+        "--target-model: have 'mine.npy', want none unless",
+    ),
     (["intercept", "--classifier", "mine.npz"], 10, "--classifier: have 'mine.npz', want none without --policy"),
     (
         ["intercept", "--policy", "mine.npz", "--planner", "mfrl"],
