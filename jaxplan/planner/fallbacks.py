@@ -13,8 +13,23 @@ from jaxplan.spline import PiecewisePolynomial
 from jaxplan.status import Reason
 
 
+class _Solved:
+    """What all of them can tell of one of theirs."""
+
+    splines: SplineBatch
+    margins: Margins
+
+    def spline(self, index: SupportsIndex) -> PiecewisePolynomial:
+        """One of the trajectories (host, NumPy)."""
+        return self.splines.spline(index)
+
+    def probability(self, index: SupportsIndex) -> float:
+        """Of trajectory ``index`` being tracked, by the classifier; NaN where the rotor limits decided."""
+        return float(np.asarray(self.margins.probability)[index])
+
+
 @record
-class Approaches:
+class Approaches(_Solved):
     """Trajectories towards goals that cannot be met in time, each a goal, a part of its path and a pace."""
 
     goals: Float[np.ndarray, "n 3"]
@@ -30,17 +45,9 @@ class Approaches:
     splines: SplineBatch
     margins: Margins
 
-    def spline(self, index: SupportsIndex) -> PiecewisePolynomial:
-        """One of the trajectories (host, NumPy)."""
-        return self.splines.spline(index)
-
-    def probability(self, index: SupportsIndex) -> float:
-        """Of trajectory ``index`` being tracked, by the classifier; NaN where the rotor limits decided."""
-        return float(np.asarray(self.margins.probability)[index])
-
 
 @record
-class Corrections:
+class Corrections(_Solved):
     """Short trajectories straight towards where the target is expected, for a vehicle in flight."""
 
     goals: Float[np.ndarray, "n 3"]
@@ -52,17 +59,9 @@ class Corrections:
     splines: SplineBatch
     margins: Margins
 
-    def spline(self, index: SupportsIndex) -> PiecewisePolynomial:
-        """One of the trajectories (host, NumPy)."""
-        return self.splines.spline(index)
-
-    def probability(self, index: SupportsIndex) -> float:
-        """As ``Approaches.probability``."""
-        return float(np.asarray(self.margins.probability)[index])
-
 
 @record
-class Stops:
+class Stops(_Solved):
     """Trajectories that come to rest as soon as may be, each in a direction and at a deceleration of its own."""
 
     goals: Float[np.ndarray, "n 3"]
@@ -77,14 +76,6 @@ class Stops:
     """How fast each is [m/s] where it first touches something; 0 where nowhere."""
     thrust: Float[np.ndarray, "n"]
     """The most that each asks for [m/s^2, per mass], without drag."""
-
-    def spline(self, index: SupportsIndex) -> PiecewisePolynomial:
-        """One of the trajectories (host, NumPy)."""
-        return self.splines.spline(index)
-
-    def probability(self, index: SupportsIndex) -> float:
-        """As ``Approaches.probability``."""
-        return float(np.asarray(self.margins.probability)[index])
 
 
 HITS = Reason.CLEARANCE | Reason.NONFINITE
