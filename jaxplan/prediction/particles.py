@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.special import ndtri
-from scipy.stats import qmc
 
 from jaxplan.arrays import AnyArray
 from jaxplan.precision import in_float64
@@ -108,6 +107,8 @@ def slowed(
 
 def even_randoms(normals: int = MODES) -> tuple[Float[np.ndarray, "p"], Float[np.ndarray, "p r"]]:
     """Uniform and standard normal numbers for ``PARTICLES``, any first ones of which are spread evenly."""
+    from scipy.stats import qmc  # half a second, for those who draw only
+
     points = qmc.Sobol(1 + normals, rng=0).random(PARTICLES)
     return points[:, 0], ndtri(points[:, 1:])
 
