@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from jaxplan.errors import InputError
 from jaxplan.prediction.candidates import Candidates
+from jaxplan.prediction.futures import Futures
 from jaxplan.records import replace
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.validation import as_finite, as_shaped
@@ -36,6 +37,18 @@ def usual_candidates(candidates: Candidates) -> Candidates:
         reasons=as_shaped("candidates: reasons", candidates.reasons, (count,), np.uint32),
         target=as_shaped("candidates: target", candidates.target, (3,)),
     )
+
+
+@no_type_check
+def usual_futures(futures: Futures) -> Futures | None:
+    """Motions with times and weights of the same numbers; None where these mean nothing. As ``usual_state``."""
+    times, weights = (as_shaped(f"futures: {name}", getattr(futures, name), (None,)) for name in ("times", "weights"))
+    positions = as_shaped("futures: positions", futures.positions, (len(weights), len(times), 3))
+    finite = np.isfinite(positions).all() and np.isfinite(times).all() and np.isfinite(weights).all()
+    rising = len(times) > 0 and (np.diff(times) > 0.0).all()
+    if not (finite and rising and (weights >= 0.0).all() and weights.sum() > 0.0):
+        return None
+    return Futures(times=times, positions=positions, weights=weights / weights.sum())
 
 
 @no_type_check

@@ -11,6 +11,7 @@ from jaxplan.config import ALLOCATIONS, HEADINGS, MEETINGS, SELECTIONS, Allocate
 from jaxplan.errors import InputError
 from jaxplan.knots import KnotConfig
 from jaxplan.minsnap.spline_batch import SplineBatch
+from jaxplan.planner.border import usual_futures
 from jaxplan.planner.capture import CaptureConfig, Prospect, prospect_of
 from jaxplan.planner.fallbacks import Approaches, Corrections, Stops
 from jaxplan.planner.refined import Refine, RefinementConfig
@@ -112,8 +113,12 @@ class PlannerConfig:
 
 
 def prospect_for(config: PlannerConfig, candidates: Candidates) -> Prospect | None:
-    """The target's futures from the start on, where plans are compared by them; None: by the paper's eq. 9."""
-    futures = candidates.futures if config.selection == "capture" else None
+    """The target's futures from the start on, where plans are compared by them; None: by the paper's eq. 9.
+
+    Raises ``InputError`` for futures whose arrays do not fit together; numbers that mean nothing count as none.
+    """
+    asked = config.selection == "capture" and candidates.futures is not None
+    futures = usual_futures(candidates.futures) if asked else None
     return None if futures is None else prospect_of(futures, config.capture)
 
 

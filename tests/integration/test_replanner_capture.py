@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from jaxplan.compilation import compilations
+from jaxplan.errors import InputError
 from jaxplan.planner import build_planner, prospect_for, select
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import Candidates, candidates_from, later
@@ -153,6 +154,33 @@ def test_without_futures_plans_are_compared_as_in_the_paper(planner):
     assert prospect_for(planner.config, candidates) is None
     plans = planner.plan_batch(hover(START), candidates)
     np.testing.assert_allclose(plans.score, candidates.likelihood - candidates.arrival_times, **tolerance("exact"))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"positions": np.full((1, 21, 3), np.nan)},
+        {"times": np.zeros(21)},
+        {"weights": np.zeros(1)},
+        {"weights": np.array([-1.0])},
+        {"times": np.zeros(0), "positions": np.zeros((1, 0, 3))},
+    ],
+)
+def test_futures_that_mean_nothing_count_as_none(planner, wrong):
+    whole = predicted((0.0, 1.0, 0.0))
+    candidates = replace(whole, futures=replace(whole.futures, **wrong))
+    assert prospect_for(planner.config, candidates) is None
+    replanner = Replanner(planner, Always(candidates), hover(START))
+    assert replanner.step(0.0, first_observation(0.0, np.array([-4.2, 0.0, 1.0]))).status is PlanStatus.INTERCEPT
+
+
+def test_futures_whose_arrays_do_not_fit_together_are_refused(planner):
+    whole = predicted((0.0, 1.0, 0.0))
+    wrong = Futures.__new__(Futures)
+    for name, value in {"times": np.zeros(4), "positions": whole.futures.positions, "weights": np.ones(1)}.items():
+        object.__setattr__(wrong, name, value)
+    with pytest.raises(InputError, match="futures: positions"):
+        prospect_for(planner.config, replace(whole, futures=wrong))
 
 
 def test_nothing_compiles_after_the_warm_up(planner):
