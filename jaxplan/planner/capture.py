@@ -53,7 +53,8 @@ class CaptureConfig:
     """By how much sooner another plan must be expected to capture [s] to replace the committed one."""
 
     def __post_init__(self) -> None:
-        require_positive("capture", self, "radius", "horizon")
+        require_positive("capture", self, "radius")
+        require_at_least("capture", self, 2.0 * STEP, "horizon")
         require_at_least("capture", self, 0.0, "reaction", "correction", "gain")
 
     @property
@@ -97,8 +98,9 @@ class Prospect(NamedTuple):
 
 def prospect_of(futures: Futures, config: CaptureConfig) -> Prospect:
     """The futures, their times counted from the start of the plans, on the grid (host)."""
-    count = len(np.asarray(futures.weights))
-    chosen = np.linspace(0, count - 1, MOTIONS).round().astype(int) if count > MOTIONS else np.arange(count)
+    chosen = np.flatnonzero(np.asarray(futures.weights) > 0.0)
+    if len(chosen) > MOTIONS:
+        chosen = chosen[np.linspace(0, len(chosen) - 1, MOTIONS).round().astype(int)]
     weights = np.asarray(futures.weights, dtype=np.float64)[chosen]
     few = Futures(times=futures.times, positions=np.asarray(futures.positions)[chosen], weights=weights)
     motions, missing = np.moveaxis(few.at(config.times), 0, 1), MOTIONS - len(chosen)

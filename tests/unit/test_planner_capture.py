@@ -25,6 +25,7 @@ from jaxplan.planner.capture import (
 )
 from jaxplan.precision import in_float64
 from jaxplan.prediction.futures import Futures
+from jaxplan.records import replace
 from jaxplan.spline import FlatState, PiecewisePolynomial, hover
 from tolerances import assert_close, relative
 
@@ -145,6 +146,16 @@ def test_more_futures_than_are_looked_at_are_thinned_and_fewer_filled_up_without
     assert few.weights.sum() == pytest.approx(1.0, **relative("exact"))
 
 
+def test_futures_without_weight_take_no_place() -> None:
+    weights = np.zeros(500)
+    weights[7] = 1.0
+    futures = replace(wandering(np.random.default_rng(1), 500), weights=weights)
+    alone = Futures(times=futures.times, positions=futures.positions[7:8], weights=np.ones(1))
+    flight = straight((2.0, 0.0, 0.5))
+    times = [capture_time(prospect_of(some, CERTAIN), flight) for some in (futures, alone)]
+    assert times[0] == pytest.approx(times[1], **relative("exact"))
+
+
 def test_futures_go_straight_between_their_instants_and_rest_beyond_them() -> None:
     futures = Futures(
         times=np.array([-0.2, 0.2]), positions=np.array([[[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]]]), weights=np.ones(1)
@@ -183,6 +194,7 @@ def test_positions_of_a_batch_are_those_of_each_spline() -> None:
     [
         ({"radius": 0.0}, "radius"),
         ({"horizon": np.nan}, "horizon"),
+        ({"horizon": 0.05}, "horizon"),
         ({"correction": -1.0}, "correction"),
         ({"gain": -0.1}, "gain"),
     ],
