@@ -182,7 +182,7 @@ class Trouble:
         half = float(self._rng.uniform(*HALF))
         braking = BRAKING * sideways_acceleration(self._scenario.vehicle)
         stopping = np.linalg.norm(states.vel[ready]) ** 2 / (2.0 * braking) + half * np.sqrt(3.0) + 0.3
-        away = np.linalg.norm(states.pos - states.pos[ready], axis=1)
+        away = np.linalg.norm(states.pos[:, None] - states.pos[None, : ready + 1], axis=2).min(axis=1)
         beyond = (way - way[ready] > stopping) & (away > stopping)
         if not beyond.any():
             return
