@@ -63,7 +63,8 @@ class InterceptConfig:
     (ground-truth), which needs a target that is known beforehand."""
 
     target_model: str | None = None
-    """A mixture for --predictor gmm (.npy, see jaxplan train gmm). Default: the world's own, or the generic one."""
+    """A mixture for --predictor fused, gmm or particles (.npy, see jaxplan train gmm). Default: the world's own, or the
+    generic one."""
 
     vehicle: str = "mfrl"
     """A preset (jaxplan vehicle lists them), or a file: TOML of the presets' form, or MJCF (.xml)."""
@@ -98,10 +99,9 @@ class InterceptConfig:
     """Whether chosen plans are made sooner, by optimising waypoints and times together. Default: with --meet pass and
     --heading hold, which it needs. --refine=no leaves them as the policy has them, as in the paper."""
 
-    selection: Selection | None = None
-    """What plans are compared by: capture is the expected time until one captures the target, where the predictor knows
-    its motions as a whole (particles, imm, fused); paper is the paper's eq. 9. Default: capture, but paper with --meet
-    rest."""
+    selection: Selection = "capture"
+    """What plans are compared by: capture is the expected time until one captures the target, with --meet pass where
+    the predictor knows its motions as a whole (particles, imm, fused); paper is eq. 9 of the paper, as for others."""
 
     speed: float | None = None
     """The target's maximum speed [m/s]. Default: 1 for a stored target, as recorded for a flight."""
@@ -144,8 +144,7 @@ class InterceptConfig:
         _require_choice("heading", self.heading, HEADINGS)
         if self.allocate is not None:
             _require_choice("allocate", self.allocate, ALLOCATIONS)
-        if self.selection is not None:
-            _require_choice("selection", self.selection, SELECTIONS)
+        _require_choice("selection", self.selection, SELECTIONS)
         self._validate_refine()
         if self.speed is not None:
             _require_up_to("speed", self.speed, _FASTEST_TARGET, "m/s")

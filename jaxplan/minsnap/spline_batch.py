@@ -46,14 +46,8 @@ class SplineBatch:
 
         Batch axes (count, k): shapes (5, 3, count, k) and (3, count, k).
         """
-        ends = jnp.cumsum(self.durations, axis=0)
-        times = jnp.linspace(0.0, 1.0, count, dtype=ends.dtype)[:, None] * jnp.sum(self.durations, axis=0)[None]
-        last = jnp.maximum(jnp.sum(self.durations > 0.0, axis=0) - 1, 0)
-        segment = jnp.minimum(jnp.sum(times[:, None] >= ends[None], axis=1), last[None])
-        duration = jnp.take_along_axis(self.durations, segment, axis=0)
-        duration = jnp.where(duration > 0.0, duration, 1.0)
-        begun = jnp.take_along_axis(ends - self.durations, segment, axis=0)
-        s = jnp.clip((times - begun) / duration, 0.0, 1.0)
+        whole = jnp.sum(self.durations, axis=0)
+        segment, s, duration = self._located(jnp.linspace(0.0, 1.0, count, dtype=whole.dtype)[:, None] * whole[None])
         position, yaw = self._coefficients(segment)
         rows = [horner(position, s[None], duration[None], derivative) for derivative in range(5)]
         turns = [horner(yaw, s, duration, derivative) for derivative in range(3)]
@@ -61,17 +55,21 @@ class SplineBatch:
 
     def positions(self, times: Float[Array, "u"]) -> Float[Array, "u 3 k"]:
         """Where each spline is [m, world] at the same ``times`` [s from the start], at rest where it ends."""
+        segment, s, duration = self._located(jnp.broadcast_to(times[:, None], (len(times), self.durations.shape[1])))
+        position, _ = self._coefficients(segment)
+        return jnp.moveaxis(horner(position, s[None], duration[None], 0), 0, 1)
+
+    def _located(
+        self, times: Float[Array, "p k"]
+    ) -> tuple[Int[Array, "p k"], Float[Array, "p k"], Float[Array, "p k"]]:
+        """In which segment each time [s] falls, the normalised time there, and how long that segment is [s]."""
         ends = jnp.cumsum(self.durations, axis=0)
         last = jnp.maximum(jnp.sum(self.durations > 0.0, axis=0) - 1, 0)
-        segment = jnp.minimum(jnp.sum(times[:, None, None] >= ends[None], axis=1), last[None])
+        segment = jnp.minimum(jnp.sum(times[:, None] >= ends[None], axis=1), last[None])
+        duration = jnp.take_along_axis(self.durations, segment, axis=0)
+        duration = jnp.where(duration > 0.0, duration, 1.0)
         begun = jnp.take_along_axis(ends - self.durations, segment, axis=0)
-        s = jnp.clip((times[:, None] - begun) * jnp.take_along_axis(self.rate(), segment, axis=0), 0.0, 1.0)
-        flat = jnp.moveaxis(self.position.reshape(self.position.shape[0], -1, self.position.shape[-1]), 0, 1)
-        found = jnp.take_along_axis(flat, segment[None], axis=1).reshape(*self.position.shape[1:3], *s.shape)
-        value = found[-1]
-        for power in range(len(found) - 2, -1, -1):
-            value = value * s[None] + found[power]
-        return jnp.moveaxis(value, 0, 1)
+        return segment, jnp.clip((times - begun) / duration, 0.0, 1.0), duration
 
     def _coefficients(
         self, segment: Int[Array, "p k"]

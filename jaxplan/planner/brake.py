@@ -107,10 +107,10 @@ def _thrusts(parts: Parts, splines: SplineBatch) -> Float[np.ndarray, "k"]:
     table = derivative_table(terms, np.linspace(0.0, 1.0, INSTANTS), 2)
     even = np.matmul(table, np.asarray(splines.position).reshape(segments, terms, axes * count))
     durations = np.asarray(splines.durations)[:, None, None]
-    squared = np.where(durations > 0.0, durations, 1.0) ** 2
+    squared = np.where(durations > 0.0, durations, np.inf) ** 2  # padding: a hover, as at every end
     upwards = np.array([0.0, 0.0, float(parts.vehicle.gravity)])[:, None]
     acceleration = even.reshape(segments, INSTANTS, axes, count) / squared + upwards
-    most = np.where(durations > 0.0, np.linalg.norm(acceleration, axis=2)[:, :, None], 0.0).max(axis=(0, 1, 2))
+    most = np.linalg.norm(acceleration, axis=2).max(axis=(0, 1))
     return np.where(np.isfinite(most), most, np.inf)
 
 

@@ -243,7 +243,7 @@ def _warmup(parts: Parts, state: FlatState) -> None:
     plan_batch(parts, state, candidates)
     approach(parts, state, candidates)
     _validate(parts, brake(parts, state).spline(0))
-    if parts.config.selection == "capture":
+    if parts.config.captures:
         _capture_once(parts, state, candidates)
 
 

@@ -71,8 +71,8 @@ class PlannerConfig:
     likelihood_weight: float = 1.0
     """Seconds that a likelihood of 1 is worth in the selection (paper eq. 9 leaves the unit open)."""
     selection: Selection = "capture"
-    """What plans are compared by: "capture" is the expected time until one captures the target, where a predictor knows
-    its possible motions as a whole; "paper" is eq. 9, and what all others are compared by."""
+    """What plans are compared by: "capture" is the expected time until one captures the target, where it is passed and
+    a predictor knows its possible motions as a whole; "paper" is eq. 9, and what all others are compared by."""
     capture: CaptureConfig = CaptureConfig()
     path_capacity: int = 32
     """Corners of the longest taut path; longer ones are planned as prefixes."""
@@ -86,6 +86,11 @@ class PlannerConfig:
     validator: ValidatorConfig = ValidatorConfig()
     refinement: RefinementConfig | None = None
     """How chosen plans are made sooner; None: they are left as the policy has them (the paper)."""
+
+    @property
+    def captures(self) -> bool:
+        """Whether plans are compared by capture where futures are known: what stops or matches is not after that."""
+        return self.selection == "capture" and self.meet == "pass"
 
     @property
     def least_gain(self) -> float:
@@ -117,7 +122,7 @@ def prospect_for(config: PlannerConfig, candidates: Candidates) -> Prospect | No
 
     Raises ``InputError`` for futures whose arrays do not fit together; numbers that mean nothing count as none.
     """
-    asked = config.selection == "capture" and candidates.futures is not None
+    asked = config.captures and candidates.futures is not None
     futures = usual_futures(candidates.futures) if asked else None
     return None if futures is None else prospect_of(futures, config.capture)
 

@@ -161,7 +161,7 @@ class Decision:
             approaches = self._approaches()
             score = -capture_times(prospect, approaches.splines)
             rival = self._sooner(rival, approaches, score, PlanStatus.APPROACH)
-            if rival.chosen is None:
+            if rival.chosen is None and np.isfinite(self.incumbent.score):
                 stops = self._planner.brake(self._known.start.state, self._known.committed.spline, self._known.since)
                 score = -capture_times(prospect, stops.splines)
                 rival = self._sooner(rival, stops, score, PlanStatus.APPROACH)

@@ -1,5 +1,7 @@
 """Deciding by the target's possible futures: corrections in flight, and the loop, in environment 1."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -172,6 +174,12 @@ def test_futures_that_mean_nothing_count_as_none(planner, wrong):
     assert prospect_for(planner.config, candidates) is None
     replanner = Replanner(planner, Always(candidates), hover(START))
     assert replanner.step(0.0, first_observation(0.0, np.array([-4.2, 0.0, 1.0]))).status is PlanStatus.INTERCEPT
+
+
+@pytest.mark.parametrize(("meet", "selection"), [("match", "capture"), ("rest", "capture"), ("pass", "paper")])
+def test_only_what_passes_its_target_is_compared_by_capture(planner, meet, selection):
+    config = dataclasses.replace(planner.config, meet=meet, selection=selection)
+    assert prospect_for(config, predicted((0.0, 1.0, 0.0))) is None
 
 
 def test_futures_whose_arrays_do_not_fit_together_are_refused(planner):

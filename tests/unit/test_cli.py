@@ -245,6 +245,7 @@ USAGE = [
     (["intercept", "--departure", "inf"], 10, "--departure: have inf, want"),
     (["intercept", "--start", "1", "2", "nan"], 10, "--start: have nan, want"),
     (["intercept", "--seed", "-1"], 10, "--seed: have -1, want"),
+    (["intercept", "--selection", "best"], 2, "--selection"),
     (
         ["intercept", "--predictor", "none", "--target-model", "mine.npy"],
         10,
