@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxplan.arrays import Scalar
 from jaxplan.numerics import safe_norm
 from jaxplan.optimizer.problem import Task, meeting_time, splines, unflatten
 from jaxplan.polynomials import derivative_table
@@ -23,6 +24,7 @@ from jaxplan.spline import FlatState
 from jaxplan.vehicle.flatness import against_drag, demand_of
 from jaxplan.vehicle.limits import effort_of
 from jaxplan.vehicle.mixing import squared_rotor_speeds
+from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.clearance import clearance
 from jaxplan.world.obstacles import World
 
@@ -63,7 +65,7 @@ class _Samples(NamedTuple):
 def values(task: Task, x: Float[Array, "k v"]) -> tuple[Float[Array, "k"], Float[Array, "k c"]]:
     """Meeting times [s] and margins of k trajectories."""
     found, own = _samples(task, x.T), _bounds(x.T)
-    bodies = _each(functools.partial(body_demand, task), found.states)
+    bodies = _each(_of_body(body_demand, task), found.states)
     distances = _each(functools.partial(_free, task.world), found.places)
     margins = _margins(task, bodies, distances - found.kept[:, :, None])
     return meeting_time(unflatten(x.T)), jnp.concatenate([margins, own.T], axis=1)
@@ -75,7 +77,7 @@ def linearise(task: Task, x: Float[Array, "k v"]) -> Linearised:
     directions = jnp.broadcast_to(jnp.eye(count, dtype=x.dtype)[:, :, None], (count, count, width))
     found, pushed = _pushed(functools.partial(_samples, task), x.T, directions)
     by_state, by_place = jnp.transpose(pushed.states, (1, 4, 2, 3, 0)), jnp.transpose(pushed.places, (1, 3, 2, 0))
-    bodies, by_body = _each(_with_jacobian(functools.partial(body_demand, task)), found.states)
+    bodies, by_body = _each(_of_body(body_slopes, task), found.states)
     distances, slopes = _each(_with_jacobian(functools.partial(_free, task.world)), found.places)
     instants = len(found.states)
     body = by_body.reshape(instants, width, -1, 12) @ by_state.reshape(instants, width, 12, count)
@@ -93,25 +95,61 @@ def linearise(task: Task, x: Float[Array, "k v"]) -> Linearised:
     )
 
 
-def body_demand(task: Task, derivatives: Float[Array, "4 3"]) -> Float[Array, "13"]:
+def body_demand(
+    vehicle: Vehicle, yaw: Scalar, max_body_rate: Scalar, derivatives: Float[Array, "4 3"]
+) -> Float[Array, "13"]:
     """Squared rotor speeds as shares of the largest, the thrust's upward part and the nose's part along the heading.
 
     Without drag, then against it. At last the squared rate at which the thrust turns, as a share of the largest.
     ``derivatives``: velocity to snap [SI, world]; the heading is held.
     """
-    vehicle, yaw = task.vehicle, jnp.asarray(task.start.yaw)[0]
+    aloft = jax.vmap(lambda drag: _aloft(vehicle, yaw, drag, derivatives))(jnp.arange(2.0, dtype=derivatives.dtype))
+    return jnp.append(aloft, _turning(vehicle, max_body_rate, derivatives))
+
+
+def body_slopes(
+    vehicle: Vehicle, yaw: Scalar, max_body_rate: Scalar, derivatives: Float[Array, "4 3"]
+) -> tuple[Float[Array, "13"], Float[Array, "13 4 3"]]:
+    """``body_demand`` and its derivatives, backwards: a third of the time of forwards, measured."""
+
+    def aloft(drag: Scalar) -> tuple[Float[Array, "6"], Float[Array, "6 4 3"]]:
+        value, back = jax.vjp(functools.partial(_aloft, vehicle, yaw, drag), derivatives)
+        return value, jax.vmap(back)(jnp.eye(len(value), dtype=value.dtype))[0]
+
+    values, slopes = jax.vmap(aloft)(jnp.arange(2.0, dtype=derivatives.dtype))
+    turning, slope = jax.value_and_grad(functools.partial(_turning, vehicle, max_body_rate))(derivatives)
+    return jnp.append(values, turning), jnp.concatenate([slopes.reshape(-1, 4, 3), slope[None]])
+
+
+def _aloft(vehicle: Vehicle, yaw: Scalar, drag: Scalar, derivatives: Float[Array, "4 3"]) -> Float[Array, "6"]:
+    """Of the rotors, the thrust and the nose, against a share ``drag`` of the drag."""
     rows = jnp.concatenate([jnp.zeros_like(derivatives[:1]), derivatives])
     state = FlatState(derivatives=rows, yaw=jnp.zeros_like(rows[0]).at[0].set(yaw))
-    both = jax.tree.map(lambda *leaves: jnp.stack(leaves), state, against_drag(vehicle, state))
+    against = jnp.asarray(against_drag(vehicle, state).derivatives)
+    demand = demand_of(vehicle, FlatState(derivatives=rows + drag * (against - rows), yaw=state.yaw))
+    squared = jnp.stack(squared_rotor_speeds(vehicle, demand.moment, vehicle.mass * demand.specific_thrust))
+    upwards, nose = demand.axes[2][2], jnp.cos(yaw) * demand.axes[0][0] + jnp.sin(yaw) * demand.axes[0][1]
+    return jnp.concatenate([squared / vehicle.rotor_speed_max**2, jnp.stack([upwards, nose])])
 
-    def demanded(reference: FlatState) -> Float[Array, "6"]:
-        demand = demand_of(vehicle, reference)
-        squared = jnp.stack(squared_rotor_speeds(vehicle, demand.moment, vehicle.mass * demand.specific_thrust))
-        upwards, nose = demand.axes[2][2], jnp.cos(yaw) * demand.axes[0][0] + jnp.sin(yaw) * demand.axes[0][1]
-        return jnp.concatenate([squared / vehicle.rotor_speed_max**2, jnp.stack([upwards, nose])])
 
-    turning = effort_of(vehicle, *(tuple(row) for row in derivatives[:3])).tilting
-    return jnp.concatenate([jax.vmap(demanded)(both).reshape(-1), (turning / task.max_body_rate)[None] ** 2])
+def _turning(vehicle: Vehicle, max_body_rate: Scalar, derivatives: Float[Array, "4 3"]) -> Float[Array, ""]:
+    """Squared, as a share."""
+    return (effort_of(vehicle, *(tuple(row) for row in derivatives[:3])).tilting / max_body_rate) ** 2
+
+
+def body_margins(
+    vehicle: Vehicle, max_tilt: Scalar, max_pitch: Scalar, bodies: Float[Array, "*n 13"]
+) -> Float[Array, "*n 21"]:
+    """From ``body_demand`` to margins that are positive inside."""
+    least = vehicle.rotor_speed_min**2 / vehicle.rotor_speed_max**2
+    once = [*[-least] * 4, *[jnp.ones_like(least)] * 4, -jnp.cos(max_tilt), -jnp.cos(max_pitch)]
+    offsets = jnp.stack([*once, *once, jnp.ones_like(least)])
+    return bodies @ jnp.asarray(_SIGNS.T, bodies.dtype) + jnp.expand_dims(offsets, tuple(range(bodies.ndim - 1)))
+
+
+def _of_body(function: Callable[..., Any], task: Task) -> Callable[[Float[Array, "4 3"]], Any]:
+    """``body_demand`` or ``body_slopes`` at one instant of a task."""
+    return functools.partial(function, task.vehicle, jnp.asarray(task.start.yaw)[0], task.max_body_rate)
 
 
 def _margins(
@@ -120,11 +158,7 @@ def _margins(
     spare: Float[Array, "p k 4"],
 ) -> Float[Array, "k c"]:
     """Margins in the order of the rows of ``linearise``, but for the variables' own bounds."""
-    vehicle = task.vehicle
-    least = vehicle.rotor_speed_min**2 / vehicle.rotor_speed_max**2
-    once = [*[-least] * 4, *[jnp.ones_like(least)] * 4, -jnp.cos(task.max_tilt), -jnp.cos(task.max_pitch)]
-    offsets = jnp.stack([*once, *once, jnp.ones_like(least)])
-    body = bodies @ jnp.asarray(_SIGNS.T, bodies.dtype) + offsets[None, None]
+    body = body_margins(task.vehicle, task.max_tilt, task.max_pitch, bodies)
     return jnp.concatenate([_rows(body), PER_METRE * _rows(spare)], axis=1)
 
 
