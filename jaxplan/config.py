@@ -99,6 +99,10 @@ class InterceptConfig:
     """Whether chosen plans are made sooner, by optimising waypoints and times together. Default: with --meet pass and
     --heading hold, which it needs. --refine=no leaves them as the policy has them, as in the paper."""
 
+    placing: str | None = None
+    """A policy that places waypoints and times (.npz, see jaxplan train placing), from which --refine goes on where
+    that is the better start. Default: --refine goes on from the plan that was chosen."""
+
     selection: Selection = "capture"
     """What plans are compared by: capture is the expected time until one captures the target, with --meet pass where
     the predictor knows its motions as a whole (particles, imm, fused); paper is eq. 9 of the paper, as for others."""
@@ -136,6 +140,8 @@ class InterceptConfig:
                     "target-model", self.target_model, f"none unless the predictor is {' or '.join(WITH_MODEL)}"
                 )
         _require_name("vehicle", self.vehicle)
+        if self.placing is not None:
+            _require_name("placing", self.placing)
         _require_up_to("padding", self.padding, _LARGEST_PADDING, "m")
         if self.planner is not None:
             _require_choice("planner", self.planner, PLANNERS)
@@ -162,6 +168,8 @@ class InterceptConfig:
         if self.refine and not self._refinable:
             have = f"--meet {self.meet} and --heading {self.heading}"
             raise InputError(f"--refine: have {have}, want --meet pass and --heading hold")
+        if self.placing is not None and not self.refines:
+            raise InputError(f"--placing: have {self.placing!r} and plans that are not refined, want --refine or none")
 
     @property
     def refines(self) -> bool:

@@ -18,6 +18,7 @@ from jaxplan.io.targets import Target, load_target
 from jaxplan.planner import Planner, PlannerConfig, RefinementConfig, build_planner
 from jaxplan.policy.checkpoint import load_policy, policy_vehicle
 from jaxplan.policy.constant_speed import constant_speed_policy
+from jaxplan.policy.placing_checkpoint import load_placing
 from jaxplan.policy.protocol import Policy
 from jaxplan.prediction.predictors import PREDICTORS, build_predictor
 from jaxplan.prediction.protocol import PredictionConfig, Predictor, StepPredictor
@@ -102,11 +103,7 @@ def build_scenario(config: InterceptConfig, *, exhaustive: bool = False, planner
     start = _start(config, world, target, planning.padding)
     _check_start(start, world, vehicle, distance)
     check_padding(config.padding, vehicle)
-    if planner is None:
-        policy, classifier = _policy(config)
-        planner = build_planner(planning, world=world, vehicle=vehicle, policy=policy, classifier=classifier)
-    else:
-        planner = planner.in_world(world)
+    planner = _planner(config, planning, world, vehicle) if planner is None else planner.in_world(world)
     prediction = PredictionConfig.for_world(world)
     return Scenario(
         world=world,
@@ -142,8 +139,7 @@ def build_planning(config: InterceptConfig) -> Planning:
     world, vehicle = load_world(config.world), load_vehicle(config.vehicle)
     start = _hover(config, world, vehicle)
     config = with_a_planner(config, vehicle)
-    policy, classifier = _policy(config)
-    planner = build_planner(planner_config(config), world=world, vehicle=vehicle, policy=policy, classifier=classifier)
+    planner = _planner(config, planner_config(config), world, vehicle)
     return Planning(world, planner, predictor_for(config, world, None), start)
 
 
@@ -207,6 +203,13 @@ def distance_in(world: World) -> DistanceFunction:
     with jax.enable_x64(True):
         on_device = jax.device_put(world)
     return functools.partial(host_free_distance, on_device, width=POINTS_AT_ONCE)
+
+
+def _planner(config: InterceptConfig, planning: PlannerConfig, world: World, vehicle: Vehicle) -> Planner:
+    """With what was learned for it."""
+    policy, classifier = _policy(config)
+    placing = load_placing(config.placing) if config.refines and config.placing is not None else None
+    return build_planner(planning, world=world, vehicle=vehicle, policy=policy, classifier=classifier, placing=placing)
 
 
 def _policy(config: InterceptConfig) -> tuple[Policy, Classifier | None]:

@@ -15,6 +15,8 @@ COMMANDS = {
     "dataset": ("train_policy", "Make a training set of labelled waypoint sequences; a run that was cut off goes on."),
     "pretrain": ("train_policy", "Train a policy to imitate the optimiser; a run that was cut off goes on."),
     "mfrl": ("train_mfrl", "Reinforce a policy for speed at the same safety; a run that was cut off goes on."),
+    "courses": ("train_placing", "Find ways through random rooms, for train placing; a run that was cut off goes on."),
+    "placing": ("train_placing", "Train the policy that places waypoints and times; a run that was cut off goes on."),
     "gmm": ("train_gmm", "Fit a Gaussian mixture to windows of random minimum-snap flights, for --predictor gmm."),
 }
 

@@ -12,6 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxplan.errors import InputError
 from jaxplan.feasibility.classifier import Classifier
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.planner.approach import approach
@@ -20,7 +21,7 @@ from jaxplan.planner.brake import brake, impact
 from jaxplan.planner.capture import capture_time, capture_times, prospect_of
 from jaxplan.planner.corrections import correct
 from jaxplan.planner.descent import compile_descent
-from jaxplan.planner.parts import Parts
+from jaxplan.planner.parts import Parts, Placing
 from jaxplan.planner.records import (
     Approach,
     Brake,
@@ -36,7 +37,7 @@ from jaxplan.planner.records import (
     Warmup,
     prospect_for,
 )
-from jaxplan.planner.refined import Refine, Seed
+from jaxplan.planner.refined import Refine, RefinementConfig, Seed
 from jaxplan.planner.refinement import refine
 from jaxplan.planner.stations import LENGTHS, compile_stations
 from jaxplan.planner.table import (
@@ -56,6 +57,7 @@ from jaxplan.planner.table import (
 from jaxplan.planner.timer import Timer
 from jaxplan.planner.validator import Room, Verdict, validate
 from jaxplan.planner.warmup import compile_all
+from jaxplan.policy.placing import SEGMENTS, Place, vehicle_numbers
 from jaxplan.policy.protocol import Policy
 from jaxplan.precision import in_float64
 from jaxplan.prediction.candidates import Candidates, candidates_from
@@ -82,6 +84,7 @@ def build_planner(
     vehicle: Vehicle,
     policy: Policy,
     classifier: Classifier | None = None,
+    placing: Place | None = None,
 ) -> Planner:
     """Compose the stations for one world, vehicle and policy.
 
@@ -91,9 +94,11 @@ def build_planner(
         vehicle: whose limits and radius the checks keep.
         policy: allocates the times between waypoints.
         classifier: decides which trajectories the vehicle can follow; without one the rotor limits do.
+        placing: where refinements begin; without one at the plans that were chosen.
 
     Raises:
-        InputError: policy or classifier were made for another vehicle.
+        InputError: policy or classifier were made for another vehicle, or refined plans have other segments than a
+            placing policy's.
     """
     require_same_vehicle(f"policy {policy.name!r}", policy.vehicle, vehicle)
     require_same_vehicle("classifier", None if classifier is None else classifier.vehicle, vehicle)
@@ -111,7 +116,17 @@ def build_planner(
     lattices = build_lattices(world, options)
     stations = compile_stations(config, vehicle, policy, classifier)
     descend = None if config.refinement is None else compile_descent(config.refinement, vehicle)
-    return _planner(Parts(config, stations, lattices, _on_device(world), _room(lattices, world), vehicle, descend))
+    begin = None if config.refinement is None or placing is None else _compiled(placing, config.refinement, vehicle)
+    return _planner(
+        Parts(config, stations, lattices, _on_device(world), _room(lattices, world), vehicle, descend, begin)
+    )
+
+
+def _compiled(placing: Place, config: RefinementConfig, vehicle: Vehicle) -> Placing:
+    """The policy for a refinement's starts."""
+    if config.segments != SEGMENTS:
+        raise InputError(f"refinement: have {config.segments} segments, want {SEGMENTS} for a placing policy, or none")
+    return Placing(jax.jit(placing), vehicle_numbers(vehicle))
 
 
 def _planner(parts: Parts) -> Planner:

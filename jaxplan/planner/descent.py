@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.optimizer.interior_point import Descent, DescentConfig, descend
@@ -29,13 +29,15 @@ MAX_TILT = 78.5
 
 
 class Descended(NamedTuple):
-    """What became of k plans."""
+    """What became of a plan; a batch of one."""
 
-    times: Float[Array, "k"]
-    """When each meets the target [s]."""
-    least: Float[Array, "k"]
+    times: Float[Array, "1"]
+    """When it meets the target [s]."""
+    least: Float[Array, "1"]
     """Of the optimiser's margins."""
     splines: SplineBatch
+    start: Int[Array, ""]
+    """Number of the start that it is from."""
 
 
 @runtime_checkable
@@ -51,7 +53,7 @@ class Descend(Protocol):
         variables: Float[np.ndarray, "k v"],
         descent: DescentConfig,
     ) -> Descended:
-        """Optimise k plans from one state."""
+        """Optimise a plan from one state, from the best of k starts."""
 
 
 @in_float64
@@ -81,9 +83,11 @@ def compile_descent(config: RefinementConfig, vehicle: Vehicle) -> Descend:
         limits: Limits,
         variables: Float[Array, "k v"],
         descent: DescentConfig,
-    ) -> Descent:
+    ) -> tuple[Descent, Int[Array, ""]]:
         task = task_of(world, state, target, limits)
-        return descend(functools.partial(values, task), functools.partial(linearise, task), variables, descent)
+        best = _best(task, variables, descent)
+        from_there = functools.partial(values, task), functools.partial(linearise, task), variables[best][None]
+        return descend(*from_there, descent), best
 
     @jax.jit
     def flown(
@@ -99,7 +103,16 @@ def compile_descent(config: RefinementConfig, vehicle: Vehicle) -> Descend:
         variables: Float[np.ndarray, "k v"],
         descent: DescentConfig,
     ) -> Descended:
-        found = optimised(world, state, target, limits, variables, descent)
-        return Descended(found.objective, found.least, flown(world, state, target, limits, found.x))
+        found, best = optimised(world, state, target, limits, variables, descent)
+        return Descended(found.objective, found.least, flown(world, state, target, limits, found.x), best)
 
     return descended
+
+
+def _best(task: Task, starts: Float[Array, "k v"], descent: DescentConfig) -> Int[Array, ""]:
+    """Number of the start that costs least: its time, and the optimiser's penalty for its worst violation."""
+    if len(starts) == 1:
+        return jnp.int32(0)
+    times, margins = jax.vmap(lambda start: values(task, start[None]))(starts)
+    cost = times[:, 0] + descent.penalty * jnp.maximum(-jnp.min(margins[:, 0], axis=1), 0.0)
+    return jnp.argmin(jnp.where(jnp.isfinite(cost), cost, jnp.inf)).astype(jnp.int32)

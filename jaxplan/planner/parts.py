@@ -15,6 +15,7 @@ from jaxplan.planner.descent import Descend
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.planner.stations import Match, Routes, Stations, Trajectories, shortened
 from jaxplan.planner.validator import Keep, Room
+from jaxplan.policy.placing import Place
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.search.lattice import Lattices, Paths
 from jaxplan.search.meeting_point import beginning_at, ending_before
@@ -47,6 +48,13 @@ class Allocation(NamedTuple):
     """Of being tracked, where a classifier decides."""
 
 
+class Placing(NamedTuple):
+    """The placing policy, compiled, and what it must know of the vehicle."""
+
+    place: Place
+    numbers: Float[np.ndarray, "6"]
+
+
 class Parts(NamedTuple):
     """Configuration, compiled stations, and a world with its lattices."""
 
@@ -59,6 +67,8 @@ class Parts(NamedTuple):
     vehicle: Vehicle
     descend: Descend | None = None
     """The compiled part of a refinement, where chosen plans are refined."""
+    placing: Placing | None = None
+    """The policy that a refinement begins with; without one it begins with the chosen plan."""
 
     @property
     def radius(self) -> float:

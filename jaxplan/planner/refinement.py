@@ -1,22 +1,20 @@
 """A chosen plan made sooner: waypoints, durations, meeting point and stop point optimised together (host).
 
 The policy allots times to all candidates at once, on waypoints of shortest paths. For the one that is chosen there is
-time for more: a few steps of ``jaxplan.optimizer`` from where the policy's plan is. The result is checked like any
-plan, and only taken where it is sooner.
+time for more: a few steps of ``jaxplan.optimizer``, from that plan or from what the placing policy makes of it. The
+result is checked like any plan, and only taken where it is sooner.
 """
 
 import dataclasses
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from jaxplan.optimizer.interior_point import DescentConfig
-from jaxplan.optimizer.margins import FARTHEST_STOP, LONGEST, SHORTEST
-from jaxplan.optimizer.problem import Limits, TargetTable, Variables, flatten
+from jaxplan.optimizer.problem import Limits, TargetTable, flatten
 from jaxplan.planner.border import usual_candidates, usual_state
 from jaxplan.planner.parts import Parts
 from jaxplan.planner.refined import Refined, RefinementConfig, Seed
+from jaxplan.planner.starts import Expected, placed_start, seed_start
 from jaxplan.planner.surroundings import surroundings
 from jaxplan.planner.validator import Fault, ValidatorConfig, validate
 from jaxplan.prediction.candidates import Candidates, mean_motion
@@ -34,41 +32,10 @@ DESCENT = DescentConfig(barrier=3e-3, rate=0.75, slack=0.1)
 """From plans that the policy allotted times to; found by trying on 33 of them (docs/decisions/0028)."""
 VIOLATION = 0.02
 """A margin of the optimiser below 0 by less counts as kept: the last look decides (arbitrary)."""
-STOP_TIME, SHORT = 0.5, 0.2
-"""s; how long the way to rest takes where a plan rests at its goal, or is there sooner than the second (arbitrary)."""
 START_SPARE = 5e-3
 """m; a plan that begins closer to an obstacle than it should keeps so much less than it has there (arbitrary)."""
 STILL = 1e-6
 """rad/s; a plan that begins with a turning heading is not refined: the heading of refined ones is held."""
-
-
-class Expected(NamedTuple):
-    """The mean of the target's predicted motion, at even intervals from the plan's start on."""
-
-    interval: float
-    """[s]"""
-    position: Float[np.ndarray, "n 3"]
-    """[m]"""
-    spread: Float[np.ndarray, "n"]
-    """Of the predicted positions around it [m]."""
-
-    @property
-    def horizon(self) -> float:
-        """Until when it is known [s]."""
-        return self.interval * (len(self.position) - 1)
-
-    def at(self, time: float) -> Float[np.ndarray, "3"]:
-        """Where the target is at one instant [s]."""
-        return np.array([np.interp(time, self._times, self.position[:, axis]) for axis in range(3)])
-
-    def meet_radius(self, time: float, config: RefinementConfig) -> float:
-        """How far from there it may be met at that time [m]: the less certain it is, the nearer."""
-        spread = float(np.interp(time, self._times, self.spread))
-        return max(config.meet_radius - config.caution * spread, config.least_radius)
-
-    @property
-    def _times(self) -> Float[np.ndarray, "n"]:
-        return self.interval * np.arange(len(self.position))
 
 
 def refine(
@@ -89,10 +56,13 @@ def refine(
         offset=offset[:, None],
     )
     radius = expected.meet_radius(seed.meeting, config)
-    variables = _variables(seed, expected.at(seed.meeting) + offset, radius, config.segments)
+    starts = [seed_start(seed, expected.at(seed.meeting) + offset, radius, config.segments)]
+    if parts.placing is not None:
+        starts.append(placed_start(*parts.placing, parts.room, state, seed, expected, offset, radius))
     descent = replace(DESCENT, iterations=config.iterations if iterations is None else iterations)
     world, limits = _world(parts, seed), _limits(parts, state, radius, config)
-    found = parts.descend(world, state, target, limits, np.asarray(flatten(variables)).T, descent)
+    begin = np.concatenate([np.asarray(flatten(start)).T for start in starts])
+    found = parts.descend(world, state, target, limits, begin, descent)
     time, spline = float(np.asarray(found.times)[0]), found.splines.spline(0)
     verdict = validate(spline, parts.room, parts.vehicle, parts.keep, _strict(parts, config), start=state)
     late = Reason.ALPHA_LT_1 if time > expected.horizon else Reason(0)
@@ -136,39 +106,11 @@ def _expected(candidates: Candidates) -> Expected | None:
     return Expected(interval, position, np.interp(times, instants, spread))
 
 
-def _variables(seed: Seed, target: Float[np.ndarray, "3"], radius: float, segments: int) -> Variables:
-    """The seed's own waypoints at even intervals of time, for one start.
-
-    Where it passes the target farther than ``radius`` [m] they are moved on to meet it, as an even acceleration would.
-    """
-    spline, inner = seed.spline, segments - 1
-    rest = float(spline.duration) - seed.since - seed.meeting
-    rest = rest if rest >= SHORT else STOP_TIME
-    times = np.r_[np.linspace(0.0, seed.meeting, inner + 1), seed.meeting + rest]
-    points = np.asarray(spline.evaluate(seed.since + times))[:, :3]
-    durations = np.clip(np.diff(times), 1.05 * SHORTEST, 0.95 * LONGEST)
-    offset = _shortened((points[-2] - target) / radius, 0.9)
-    moved = target + radius * offset - points[-2]
-    shares = np.minimum(times / seed.meeting, 1.0)[:, None] ** 2
-    points = points + shares * moved
-    return Variables(
-        log_durations=np.log(durations)[:, None],
-        inner=points[1:-2, :, None],
-        offset=offset[:, None],
-        stop=_shortened(points[-1] - points[-2], 0.9 * FARTHEST_STOP)[:, None],
-    )
-
-
 def _world(parts: Parts, seed: Seed) -> World:
     """What is around the seed, without names, which would be part of what is compiled for."""
     times = np.linspace(seed.since, max(seed.since, float(seed.spline.duration)), PLACES)
     obstacles = surroundings(Solids(*parts.room.solids), np.asarray(seed.spline.evaluate(times))[:, :3])
     return World(name="", bounds=parts.room.bounds, obstacles=obstacles, keep_in=np.asarray(parts.world.keep_in))
-
-
-def _shortened(vector: Float[np.ndarray, "3"], most: float) -> Float[np.ndarray, "3"]:
-    """The vector, no longer than ``most``."""
-    return vector * min(1.0, most / max(float(np.linalg.norm(vector)), 1e-9))
 
 
 def _limits(parts: Parts, state: FlatState, radius: float, config: RefinementConfig) -> Limits:

@@ -1,8 +1,9 @@
 """The planning policy's network: two GRUs, attention and a variational bottleneck (paper, Sec. II-C and Fig. 2).
 
-The encoder, a bidirectional GRU, reads the segments; the initial state enters only at the decoder, a GRU that gives one
-log-duration per segment. All that does not depend on the initial state is computed by ``encode``, so that the arrival
-matching repeats little: per segment one product with the hidden state and one look at the other segments.
+The encoder, a bidirectional GRU, reads the segments; the initial state enters only at the decoder, a GRU that gives a
+log-duration per segment, and how its end moves where waypoints are placed as well (``placing.py``). All that does not
+depend on the initial state is computed by ``encode``, so that the arrival matching repeats little: per segment one
+product with the hidden state and one look at the other segments.
 """
 
 import dataclasses
@@ -30,9 +31,11 @@ class NetworkConfig:
     """Width of keys, queries and values."""
     latent: int = 32
     """Width of the bottleneck."""
+    outputs: int = 1
+    """Numbers for each segment."""
 
     def __post_init__(self) -> None:
-        require_within("network", self, 1, 1024, "hidden", "attention", "latent")
+        require_within("network", self, 1, 1024, "hidden", "attention", "latent", "outputs")
 
 
 class Memory(NamedTuple):
@@ -75,7 +78,7 @@ class Linear(nn.Module):
 
 
 class PolicyNetwork(nn.Module):
-    """Log-durations in units of each sequence's nominal segment time."""
+    """``NetworkConfig.outputs`` numbers for each segment; the first is a log-duration in the sequence's own unit."""
 
     config: NetworkConfig
 
@@ -93,7 +96,7 @@ class PolicyNetwork(nn.Module):
         self.state_gates = Linear(3 * width, bias=False)
         self.hidden_gates = Linear(3 * width + attention, bias=False)
         self.context_gates, self.last_gates = Linear(3 * width, bias=False), Linear(3 * width, bias=False)
-        self.head = [Linear(width), Linear(1)]
+        self.head = [Linear(width), Linear(self.config.outputs)]
 
     def encode(self, features: Float[Array, "m f k"], real: Bool[Array, "m k"]) -> tuple[Memory, Bottleneck]:
         """Read the features of the segments once; padding, where ``real`` is false, does not matter."""
@@ -105,15 +108,15 @@ class PolicyNetwork(nn.Module):
         bottleneck = Bottleneck(self.mean(summary), self.log_variance(summary))
         return Memory(real, self.gates(read), self.key(read), self.value(read), bottleneck.mean), bottleneck
 
-    def decode(self, memory: Memory, state: Float[Array, "s k"]) -> Float[Array, "m k"]:
-        """Log-durations from a sequence's memory and the features of an initial state."""
+    def decode(self, memory: Memory, state: Float[Array, "s k"]) -> Float[Array, "m o k"]:
+        """The outputs from a sequence's memory and the features of an initial state."""
         seen = nn.relu(self.start[0](jnp.concatenate([memory.latent, state])))
         hidden = softsign(self.start[1](seen))
         constant = self.state_gates(seen)
         keys = memory.keys / np.sqrt(self.config.attention).astype(np.float32)
         blocked = jnp.where(memory.real, np.float32(0.0), BLOCKED)
 
-        def step(carry: _Decoded, segment: _Segment) -> tuple[_Decoded, Float[Array, "k"]]:
+        def step(carry: _Decoded, segment: _Segment) -> tuple[_Decoded, Float[Array, "o k"]]:
             hidden, last = carry
             inputs, real = segment
             gates, query = jnp.split(self.hidden_gates(hidden), [3 * self.config.hidden])
@@ -121,16 +124,16 @@ class PolicyNetwork(nn.Module):
             context = jnp.sum(weights[:, None] * memory.values, axis=0)
             moved = _gru(hidden, inputs + constant + self.context_gates(context) + self.last_gates(last), gates)
             output = self.head[1](nn.relu(self.head[0](moved)))
-            return _Decoded(jnp.where(real[None], moved, hidden), jnp.where(real[None], output, last)), output[0]
+            return _Decoded(jnp.where(real[None], moved, hidden), jnp.where(real[None], output, last)), output
 
-        carry = _Decoded(hidden, jnp.zeros_like(hidden[:1]))
+        carry = _Decoded(hidden, jnp.zeros((self.config.outputs, hidden.shape[1]), hidden.dtype))
         if self.is_initializing():
             return step(carry, _Segment(memory.inputs[0], memory.real[0]))[1][None]
         return jax.lax.scan(step, carry, _Segment(memory.inputs, memory.real))[1]
 
     def __call__(
         self, features: Float[Array, "m f k"], real: Bool[Array, "m k"], state: Float[Array, "s k"]
-    ) -> Float[Array, "_ k"]:
+    ) -> Float[Array, "_ o k"]:
         """Encode and decode; for initialisation, when one segment is decoded."""
         return self.decode(self.encode(features, real)[0], state)
 
@@ -163,8 +166,8 @@ class _Decoded(NamedTuple):
     """Carry of the decoder."""
 
     hidden: Float[Array, "h k"]
-    last: Float[Array, "1 k"]
-    """The log-duration of the segment before."""
+    last: Float[Array, "o k"]
+    """The outputs of the segment before."""
 
 
 def _gru(hidden: Float[Array, "h k"], driven: Float[Array, "g k"], own: Float[Array, "g k"]) -> Float[Array, "h k"]:

@@ -60,5 +60,5 @@ def allocate_times(
 ) -> Float[Array, "m k"]:
     """Durations [s], 0 behind the last real segment."""
     state = state_features(jax.tree.map(lambda leaf: leaf.astype(jnp.float32), initial), frame)
-    logs = cast(Array, network.apply(parameters, memory, state, method="decode"))
+    logs = cast(Array, network.apply(parameters, memory, state, method="decode"))[:, 0]
     return jnp.where(memory.real, frame.nominal[None] * jnp.exp(jnp.clip(logs, -LOG_RANGE, LOG_RANGE)), 0.0)
