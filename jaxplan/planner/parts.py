@@ -13,6 +13,7 @@ from jaxplan.batching import at_fixed_width, pick
 from jaxplan.planner.capture import Prospect, straight_capture_times
 from jaxplan.planner.descent import Descend
 from jaxplan.planner.records import PlannerConfig
+from jaxplan.planner.rollouts import Flyer
 from jaxplan.planner.stations import Match, Routes, Stations, Trajectories, shortened
 from jaxplan.planner.validator import Keep, Room
 from jaxplan.prediction.candidates import Candidates
@@ -59,6 +60,8 @@ class Parts(NamedTuple):
     vehicle: Vehicle
     descend: Descend | None = None
     """The compiled part of a refinement, where chosen plans are refined."""
+    flyer: Flyer | None = None
+    """The model in which plans are flown, where they are."""
 
     @property
     def radius(self) -> float:
