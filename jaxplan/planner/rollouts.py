@@ -218,11 +218,15 @@ class Rollout:
         """What it was made with."""
         return self._flyer.config
 
-    def along(self, references: FlatState) -> Rollouts:
-        """Fly ``references`` (k, steps + 1), whose first rows are those of now; compiles nothing."""
+    def along(self, references: FlatState, since: int = 0) -> Rollouts:
+        """Fly ``references`` (k, steps + 1), whose first rows are those of now; compiles nothing.
+
+        Errors count after ``since`` control steps, when the plans take over: a plan need not go on where another led.
+        """
         count = len(references.yaw)
         width = 1 if count == 1 else MANY
-        parts = [self._fly(references, np.arange(at, min(at + width, count)), width) for at in range(0, count, width)]
+        starts = range(0, count, width)
+        parts = [self._fly(references, np.arange(at, min(at + width, count)), width, since) for at in starts]
         positions, error, twist = (np.concatenate(rows) for rows in zip(*parts, strict=True))
         clearance = self._room.free_distance(positions.astype(float)).min(axis=1)
         config = self.config
@@ -235,7 +239,9 @@ class Rollout:
             followed=followed,
         )
 
-    def _fly(self, references: FlatState, some: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _fly(
+        self, references: FlatState, some: np.ndarray, width: int, since: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions, and the largest errors, of some of them; what is not finite is infinitely far."""
         rows = fill(some, width)
         chosen = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32)[rows], references)
@@ -243,5 +249,6 @@ class Rollout:
         count = len(some)
         position, error, twist = (np.asarray(rows)[:count] for rows in (log.pos, log.position_error, log.twist_error))
         position = np.where(np.isfinite(position), position, 1e6)[:, LOOKED_AT - 1 :: LOOKED_AT]
-        largest = (np.where(np.isfinite(values), values, np.inf).max(axis=1) for values in (error, twist))
+        counted = (values[:, min(since, values.shape[1] - 1) :] for values in (error, twist))
+        largest = (np.where(np.isfinite(values), values, np.inf).max(axis=1) for values in counted)
         return (position, *largest)

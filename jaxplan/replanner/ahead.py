@@ -45,7 +45,7 @@ class Ahead:
         def spliced(kept: np.ndarray, rows: np.ndarray) -> np.ndarray:
             return np.where(before.reshape(-1, *(1,) * (kept.ndim - 1)), kept, rows)
 
-        return self._model.along(jax.tree.map(spliced, self._kept, plans))
+        return self._model.along(jax.tree.map(spliced, self._kept, plans), int(before.sum()))
 
 
 def look_ahead(planner: Planner, committed: CommittedPlans, now: float, measured: Measured | None) -> Ahead | None:

@@ -52,7 +52,7 @@ class Sceptic(Rollout):
     def __init__(self, committed, others):
         self._answers, self._others = [committed], others
 
-    def along(self, references):
+    def along(self, references, since=0):
         clear, followed = self._answers.pop() if self._answers else self._others
         count = len(references.yaw)
         same = dict.fromkeys(("clearance", "error", "twist"), np.full(count, 0.5))

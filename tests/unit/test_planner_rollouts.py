@@ -105,6 +105,16 @@ def test_it_begins_where_the_vehicle_is_measured(flyer, room):
     assert once.error[0] == pytest.approx(found.error[0], abs=1e-3), "without what is remembered it begins at rest"
 
 
+def test_errors_count_from_the_takeover_on(flyer, room):
+    """Until then it is 0.4 m beside what is committed, and from then on where the plan is."""
+    model = start(flyer, room, along_x([0.0], NOW), aside=0.4)
+    plan = along_x([0.0], LATER)
+    plan.derivatives[20:, 0, 1] = 0.4
+    late, whole = model.along(both(plan), 20), model.along(both(plan))
+    assert whole.error[0] == pytest.approx(0.4, abs=0.02)
+    assert late.error[0] < 0.2
+
+
 def test_many_are_flown_as_one_is(flyer, room):
     """More than a call takes, too."""
     model = start(flyer, room, along_x([0.0, 1.0], NOW))
