@@ -134,7 +134,7 @@ def _aloft(vehicle: Vehicle, yaw: Scalar, drag: Scalar, derivatives: Float[Array
 
 def _turning(vehicle: Vehicle, max_body_rate: Scalar, derivatives: Float[Array, "4 3"]) -> Float[Array, ""]:
     """Squared, as a share."""
-    return (effort_of(vehicle, *(tuple(row) for row in derivatives[:3])).tilting / max_body_rate) ** 2
+    return jnp.asarray(effort_of(vehicle, *(tuple(row) for row in derivatives[:3])).tilting / max_body_rate) ** 2
 
 
 def body_margins(

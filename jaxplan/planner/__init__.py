@@ -8,6 +8,7 @@ from jaxplan.planner.capture import CaptureConfig, Prospect, capture_time, captu
 from jaxplan.planner.fallbacks import HITS, Approaches, Corrections, Stops, select_approach, select_stop
 from jaxplan.planner.records import Planner, PlannerConfig, Plans, prospect_for, select
 from jaxplan.planner.refined import Refined, RefinementConfig, Seed
+from jaxplan.planner.rollouts import Rollout, RolloutConfig, Rollouts, sampled
 from jaxplan.planner.timer import Timer
 from jaxplan.planner.validator import Fault, Verdict
 
@@ -23,6 +24,9 @@ __all__ = [
     "Prospect",
     "Refined",
     "RefinementConfig",
+    "Rollout",
+    "RolloutConfig",
+    "Rollouts",
     "Seed",
     "Stops",
     "Timer",
@@ -32,6 +36,7 @@ __all__ = [
     "capture_times",
     "expected_goals",
     "prospect_for",
+    "sampled",
     "select",
     "select_approach",
     "select_stop",

@@ -11,6 +11,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from jaxplan.errors import InputError
 from jaxplan.feasibility.classifier import Classifier
@@ -32,6 +33,7 @@ from jaxplan.planner.records import (
     Planner,
     PlannerConfig,
     Plans,
+    RollOut,
     Update,
     Validate,
     Warmup,
@@ -39,6 +41,7 @@ from jaxplan.planner.records import (
 )
 from jaxplan.planner.refined import Refine, RefinementConfig, Seed
 from jaxplan.planner.refinement import refine
+from jaxplan.planner.rollouts import Flyer, Rollout, compile_rollouts, sampled
 from jaxplan.planner.stations import LENGTHS, compile_stations
 from jaxplan.planner.table import (
     Rows,
@@ -117,9 +120,9 @@ def build_planner(
     stations = compile_stations(config, vehicle, policy, classifier)
     descend = None if config.refinement is None else compile_descent(config.refinement, vehicle)
     begin = None if config.refinement is None or placing is None else _compiled(placing, config.refinement, vehicle)
-    return _planner(
-        Parts(config, stations, lattices, _on_device(world), _room(lattices, world), vehicle, descend, begin)
-    )
+    flyer = None if config.rollouts is None else compile_rollouts(config.rollouts, vehicle)
+    room = _room(lattices, world)
+    return _planner(Parts(config, stations, lattices, _on_device(world), room, vehicle, descend, begin, flyer))
 
 
 def _compiled(placing: Place, config: RefinementConfig, vehicle: Vehicle) -> Placing:
@@ -139,6 +142,7 @@ def _planner(parts: Parts) -> Planner:
         validate=_bound(Validate, _validate, parts),
         impact=_bound(Impact, impact, parts),
         brake=_bound(Brake, in_float64(brake), parts),
+        roll_out=_bound(RollOut, _roll_out, parts),
         warmup=_bound(Warmup, in_float64(_warmup), parts),
         in_world=_bound(InWorld, _in_world, parts),
         update=_bound(Update, _updated, parts),
@@ -185,6 +189,19 @@ def _validate(
     """The last look at a plan, with the planner's room, vehicle and limits."""
     keep, config = parts.keep.wider(wider), parts.config.validator
     return validate(usual_spline(spline), parts.room, parts.vehicle, keep, config, since=since, start=start)
+
+
+def _roll_out(
+    parts: Parts,
+    flown: FlatState,
+    position: Float[np.ndarray, "3"],
+    velocity: Float[np.ndarray, "3"],
+    acceleration: Float[np.ndarray, "3"] | None = None,
+) -> Rollout | None:
+    """The model where the vehicle is, with the planner's room and limits."""
+    if parts.flyer is None:
+        return None
+    return Rollout(parts.flyer, parts.room, parts.radius, flown, position, velocity, acceleration)
 
 
 @in_float64
@@ -251,22 +268,41 @@ def _warmup(parts: Parts, state: FlatState) -> None:
     warm_up_search(parts.lattices, parts.world, parts.config.path_capacity)
     candidates = _candidates_around(state, parts.config.width)
     with ThreadPoolExecutor(1) as pool:
-        aside = pool.submit(in_float64(_refine_once), parts, state, candidates)
+        aside = pool.submit(in_float64(_compile_aside), parts, state, candidates)
         asked = [allocation.match for allocation in parts.allocations(hover(state.pos))]
         compile_all(parts.stations, asked, parts.world, parts.config, state)
         aside.result()
     plan_batch(parts, state, candidates)
     approach(parts, state, candidates)
-    _validate(parts, brake(parts, state).spline(0))
+    stops = brake(parts, state)
+    _validate(parts, stops.spline(0))
+    if parts.flyer is not None:
+        sampled(stops.splines, np.zeros(parts.flyer.config.steps + 1))
     if parts.config.captures:
         _capture_once(parts, state, candidates)
 
 
-def _refine_once(parts: Parts, state: FlatState, candidates: Candidates) -> None:
-    """Compile the refinement, where there is one, from a plan that stays where it is."""
+def _compile_aside(parts: Parts, state: FlatState, candidates: Candidates) -> None:
+    """Compile what works on one chosen plan: the refinement, from a plan that stays where it is, and the model."""
     if parts.config.refinement is not None:
         still = PiecewisePolynomial(durations=np.ones(2), position=np.zeros((2, 10, 3)), yaw=np.zeros((2, 6)))
         refine(parts, hover(state.pos), candidates, Seed(still, 0.0, 1.0, np.asarray(state.pos), 1.0))
+    if parts.flyer is not None:
+        _fly_once(parts, parts.flyer, state)
+
+
+def _fly_once(parts: Parts, flyer: Flyer, state: FlatState) -> None:
+    """Compile the model, from a hover with what is remembered of it and without, for one plan and for many."""
+    place = hover(state.pos)
+
+    def staying(*batch: int) -> FlatState:
+        return jax.tree.map(lambda rows: np.broadcast_to(rows, (*batch, *np.shape(rows))), place)
+
+    steps, resting = flyer.config.steps, np.zeros(3)
+    for rows in (1, steps + 1):
+        model = Rollout(flyer, parts.room, parts.radius, staying(rows), np.asarray(place.pos), resting)
+    for count in (1, 2):
+        model.along(staying(count, steps + 1))
 
 
 def _capture_once(parts: Parts, state: FlatState, candidates: Candidates) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, UInt32
 
 from jaxplan.minsnap.spline_batch import SplineBatch
+from jaxplan.planner.rollouts import Rollouts
 from jaxplan.records import record
 from jaxplan.selection import Margins
 from jaxplan.selection import select as select_best
@@ -78,6 +79,8 @@ class Stops(_Solved):
     """The most that each asks for [m/s^2, per mass], without drag."""
 
 
+NEARLY = 0.1
+"""m; stops that go astray by no more than this beyond the best are taken for as good (arbitrary)."""
 HITS = Reason.CLEARANCE | Reason.NONFINITE
 """What no stop may have that is taken for a safe one."""
 
@@ -87,16 +90,44 @@ def select_approach(approaches: Approaches) -> int:
     return select_best(-approaches.lateness, approaches.reasons)
 
 
-def select_stop(stops: Stops) -> int:
+def select_stop(stops: Stops, flown: Rollouts | None = None) -> int:
     """Index of the gentlest stop; where none passes, of one that only turns fast, then the clear one of least thrust.
 
-    Where none is clear, of the one that hits least hard; -1 when none is finite.
+    Where none is clear, of the one that hits least hard; -1 when none is finite. Stops that were ``flown`` in the model
+    must be followed and clear there: see ``_select_flown``.
     """
     turning = ~np.uint32(Reason.BODY_RATE)
+    if flown is not None:
+        return _select_flown(stops, flown)
     for score, reasons in (
         (stops.arrival_times, stops.reasons),
         (stops.arrival_times, stops.reasons & turning),
         (-stops.thrust, stops.reasons & np.uint32(HITS)),
+    ):
+        best = select_best(score, reasons)
+        if best >= 0:
+            return best
+    return select_best(-stops.impact, stops.reasons & np.uint32(Reason.NONFINITE))
+
+
+def _select_flown(stops: Stops, flown: Rollouts) -> int:
+    """The gentlest stop that passes and is followed; then one that only turns fast, then any that is clear.
+
+    Where none is followed, of those that stay clear the gentlest of the best followed; then what stays farthest away.
+    """
+    hits, nothing = np.uint32(HITS), np.uint32(0)
+    turning, solid = stops.reasons & ~np.uint32(Reason.BODY_RATE), stops.reasons & hits
+    unclear = np.where(flown.clear, nothing, hits)
+    astray = np.where(flown.followed, unclear, hits)
+    nearly = np.where((solid | unclear) == 0, flown.astray, np.inf)
+    worse = np.where(nearly <= nearly.min() + NEARLY, nothing, hits)
+    touching = np.where(stops.impact > 0.0, hits, nothing) | (stops.reasons & np.uint32(Reason.NONFINITE))
+    for score, reasons in (
+        (stops.arrival_times, stops.reasons | astray),
+        (stops.arrival_times, turning | astray),
+        (stops.arrival_times, solid | astray),
+        (stops.arrival_times, solid | unclear | worse),
+        (flown.clearance, touching),
     ):
         best = select_best(score, reasons)
         if best >= 0:

@@ -13,6 +13,7 @@ from jaxplan.batching import at_fixed_width, pick
 from jaxplan.planner.capture import Prospect, straight_capture_times
 from jaxplan.planner.descent import Descend
 from jaxplan.planner.records import PlannerConfig
+from jaxplan.planner.rollouts import Flyer
 from jaxplan.planner.stations import Match, Routes, Stations, Trajectories, shortened
 from jaxplan.planner.validator import Keep, Room
 from jaxplan.policy.placing import Place
@@ -69,6 +70,8 @@ class Parts(NamedTuple):
     """The compiled part of a refinement, where chosen plans are refined."""
     placing: Placing | None = None
     """The policy that a refinement begins with; without one it begins with the chosen plan."""
+    flyer: Flyer | None = None
+    """The model in which plans are flown, where they are."""
 
     @property
     def radius(self) -> float:

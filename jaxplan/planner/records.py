@@ -15,6 +15,7 @@ from jaxplan.planner.border import usual_futures
 from jaxplan.planner.capture import CaptureConfig, Prospect, prospect_of
 from jaxplan.planner.fallbacks import Approaches, Corrections, Stops
 from jaxplan.planner.refined import Refine, RefinementConfig
+from jaxplan.planner.rollouts import Rollout, RolloutConfig
 from jaxplan.planner.timer import Timer
 from jaxplan.planner.validator import ValidatorConfig, Verdict
 from jaxplan.prediction.candidates import Candidates
@@ -86,6 +87,8 @@ class PlannerConfig:
     validator: ValidatorConfig = ValidatorConfig()
     refinement: RefinementConfig | None = None
     """How chosen plans are made sooner; None: they are left as the policy has them (the paper)."""
+    rollouts: RolloutConfig | None = RolloutConfig()
+    """How plans are flown in the model before they are committed, where the vehicle is measured; None: they are not."""
 
     @property
     def captures(self) -> bool:
@@ -214,6 +217,23 @@ class Brake(Protocol):
         """As ``PlanBatch``; some stops go along a plan from ``since`` [s of its own time] on, where there is one."""
 
 
+class RollOut(Protocol):
+    """The model of the vehicle in the state that the vehicle is in now, to fly plans with before they are committed."""
+
+    def __call__(
+        self,
+        flown: FlatState,
+        position: Float[np.ndarray, "3"],
+        velocity: Float[np.ndarray, "3"],
+        acceleration: Float[np.ndarray, "3"] | None = None,
+    ) -> Rollout | None:
+        """None where the configuration has no rollouts; compiles nothing.
+
+        ``flown`` are the references of the last ``RolloutConfig.seconds`` at ``CONTROL_RATE``, both ends included, or
+        now's alone; ``position`` [m], ``velocity`` [m/s] and, where it is known, ``acceleration`` [m/s^2] are measured.
+        """
+
+
 class Warmup(Protocol):
     """Compile every station."""
 
@@ -248,6 +268,7 @@ class Planner(NamedTuple):
     validate: Validate
     impact: Impact
     brake: Brake
+    roll_out: RollOut
     warmup: Warmup
     in_world: InWorld
     update: Update
@@ -262,6 +283,6 @@ class Planner(NamedTuple):
             f"Planner with PlannerConfig({settings})\n"
             "  plan_batch(state, candidates): trajectories timed to meet each candidate; select(plans) is the best\n"
             "  refine(state, candidates, seed): one sooner; if none is, approach(...), correct(...) or brake(state)\n"
-            "  validate(spline), impact(spline, since): the last look at a plan\n"
+            "  validate(spline), impact(spline, since), roll_out(flown, position, velocity): a last look at a plan\n"
             "  warmup(state): compile; in_world(world), update(change): the same planner elsewhere, after a change"
         )

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from jaxplan.arrays import AnyArray
 from jaxplan.optimizer.margins import FARTHEST_STOP, LONGEST, SHORTEST
 from jaxplan.optimizer.problem import Variables
 from jaxplan.planner.refined import RefinementConfig, Seed
@@ -96,8 +97,8 @@ def placed_start(
     targets = expected.at(meetings) + offset
     points = _courses(seed, targets)
 
-    def distance(places: Float[np.ndarray, "12 4 3 k"]) -> Float[np.ndarray, "12 4 k"]:
-        return room.free_distance(np.moveaxis(places, 2, -1).reshape(-1, 3)).reshape(12, 4, -1)
+    def distance(places: Float[AnyArray, "12 4 3 k"]) -> Float[AnyArray, "12 4 k"]:
+        return room.free_distance(np.moveaxis(np.asarray(places), 2, -1).reshape(-1, 3)).reshape(12, 4, -1)
 
     width = len(meetings)
     courses = Courses(

@@ -27,6 +27,7 @@ from jaxplan.planner import (
     select_stop,
 )
 from jaxplan.prediction.candidates import Candidates
+from jaxplan.replanner.ahead import Ahead
 from jaxplan.replanner.choice import (
     Chosen,
     Start,
@@ -39,12 +40,17 @@ from jaxplan.replanner.choice import (
 from jaxplan.replanner.incumbent import NO_INCUMBENT, Incumbent, incumbent_among
 from jaxplan.replanner.pace import Pace
 from jaxplan.replanner.records import CommittedPlan, ReplannerConfig
+from jaxplan.spline import PiecewisePolynomial
 from jaxplan.status import PlanStatus, Reason
 
 LOOKED_AT = 4
 """Plans of a kind that a cycle takes a last look at (arbitrary: more than one is hardly ever refused)."""
 APPROACHED = (0.5, 0.9, 1.4, 2.0)
 """Seconds from the start after which the target is expected where it is approached (arbitrary)."""
+
+FARTHER = 0.02
+"""m; how much farther from obstacles the model must stay along a stop than along a committed plan that is clear itself
+(arbitrary)."""
 
 Outcome = tuple[PlanStatus, Chosen | None]
 """What the cycle came to, and what is committed."""
@@ -75,6 +81,8 @@ class Known(NamedTuple):
     committed: CommittedPlan
     certain: bool
     """Whether the committed plan is known to be clear, and the vehicle on it."""
+    ahead: Ahead | None = None
+    """The model of the vehicle, where it is measured."""
 
     @property
     def since(self) -> float:
@@ -100,14 +108,18 @@ class Decision:
         return self._by_score(plans) if prospect is None else self._by_capture(plans, prospect)
 
     def stop(self, status: PlanStatus) -> Outcome:
-        """What ``select_stop`` takes; where none is clear, only if the committed plan hits harder."""
-        start, committed = self._known.start, self._known.committed
+        """What ``select_stop`` takes; where none is clear, only if the committed plan hits harder, or goes nearer."""
+        start, committed, ahead = self._known.start, self._known.committed, self._known.ahead
         stops = self._planner.brake(start.state, committed.spline, self._known.since)
-        best = select_stop(stops)
-        if best >= 0 and not stops.reasons[best] & np.uint32(HITS):
+        flown = None if ahead is None else ahead.along_all(stops.splines, start.takeover)
+        best = select_stop(stops, flown)
+        clear = best >= 0 and not stops.reasons[best] & np.uint32(HITS)
+        if clear and (flown is None or flown.clear[best]):
             return status, chosen_from(stops, best, np.nan)
         hit = self._planner.impact(committed.spline, self._known.since)
         softer = best >= 0 and (stops.impact[best] < hit or (start.measured and stops.impact[best] == 0.0))
+        if ahead is not None and flown is not None and hit == 0.0:
+            softer = best >= 0 and bool(flown.clearance[best] > ahead.committed.clearance[0] + FARTHER)
         return PlanStatus.BLOCKED, chosen_from(stops, best, np.nan) if softer else None
 
     def _incumbent(self) -> Incumbent:
@@ -204,7 +216,7 @@ class Decision:
             self._pace.took(self._timer.total - before, steps)
         if refined is None or refined.reasons or not self._is_better(refined, score):
             return None
-        if self._planner.validate(refined.spline, 0.0, start.state, start.wider).faults:
+        if not self._passes(refined.spline):
             self.refused += 1
             return None
         return chosen_refined(refined, seed)
@@ -224,10 +236,19 @@ class Decision:
 
     def _best(self, among: Flights, score: Float[np.ndarray, "k"], least: float = -np.inf) -> int:
         """The usable trajectory of the largest score above ``least`` that passes the last look; -1 for none."""
-        start = self._known.start
         usable: Int[np.ndarray, "n"] = np.flatnonzero((among.reasons == 0) & np.isfinite(score) & (score > least))
         for index in usable[np.argsort(-score[usable], kind="stable")][:LOOKED_AT].tolist():
-            if not self._planner.validate(among.spline(index), 0.0, start.state, start.wider).faults:
+            if self._passes(among.spline(index)):
                 return int(index)
             self.refused += 1
         return -1
+
+    def _passes(self, spline: PiecewisePolynomial) -> bool:
+        """The last look at a plan, and its flight in the model."""
+        start, ahead = self._known.start, self._known.ahead
+        if self._planner.validate(spline, 0.0, start.state, start.wider).faults:
+            return False
+        if ahead is None:
+            return True
+        flown = ahead.along(spline, start.takeover)
+        return bool(flown.clear[0] and flown.followed[0])

@@ -24,6 +24,7 @@ from jaxplan.planner.timer import Clock
 from jaxplan.prediction.candidates import later
 from jaxplan.prediction.observations import Observations, usual_observations
 from jaxplan.prediction.protocol import Predictor
+from jaxplan.replanner.ahead import Ahead, look_ahead
 from jaxplan.replanner.choice import Chosen, Start
 from jaxplan.replanner.committed import CommittedPlans, hold
 from jaxplan.replanner.decision import Decision, Known
@@ -121,14 +122,17 @@ class Replanner:
             raise InputError(f"replanner: now is {now} s, want a finite time from {self._last} s on, the last cycle's")
         measured = None if measured is None else usual_measured(measured)
         timer, self._last, latency = Timer(self._clock), now, self.latency
-        start = self._start(now, measured)
+        ahead = look_ahead(self.planner, self._committed, now, measured)
+        start = self._start(now, measured, ahead)
+        timer.lap("roll out")
         predicted = self._predictor(observations, self._cycles)
         self._cycles += 1
         candidates = later(predicted, start.takeover - now)
         timer.lap("predict", predicted)
         self._certain = not start.measured and (self._certain or self._is_clear(now, 0.0))
         prospect = prospect_for(self.planner.config, candidates)
-        known = Known(start, candidates, prospect, self.committed, self._certain)
+        certain = self._certain and (ahead is None or _comes_back(ahead, self.config.replan_beyond))
+        known = Known(start, candidates, prospect, self.committed, certain, ahead)
         decision = Decision(self.planner, self.config, self._pace, latency, known, timer)
         lost = start.deviation > self.config.stop_beyond
         above = np.inf if lost else decision.incumbent.score
@@ -156,7 +160,7 @@ class Replanner:
             sooner=0.0 if chosen is None else chosen.sooner,
         )
 
-    def _start(self, now: float, measured: Measured | None) -> Start:
+    def _start(self, now: float, measured: Measured | None, ahead: Ahead | None) -> Start:
         """Where the plans of this cycle begin, never before the newest plan has taken over."""
         takeover = max(now + self.latency, self.committed.start_time)
         then = self._committed.at(takeover)
@@ -165,7 +169,8 @@ class Replanner:
         reference = self._committed.at(now)
         deviation = float(np.linalg.norm(measured.position - np.asarray(reference.pos)))
         near = deviation <= self.config.replan_beyond
-        if near or (deviation <= self.config.stop_beyond and self._is_clear(now, deviation)):
+        back = ahead is not None and _comes_back(ahead, self.config.stop_beyond)
+        if near or (deviation <= self.config.stop_beyond and (back or self._is_clear(now, deviation))):
             return Start(then, takeover, deviation, False, 0.0)
         state = carried_on(measured, reference, then, takeover - now)
         return Start(state, takeover, deviation, True, self.config.wider_margin)
@@ -200,3 +205,9 @@ class Replanner:
             self._took.append(seconds)
             wanted = RESERVE * float(np.quantile(self._took, 0.99))
             self.latency = float(np.clip(wanted, self.config.latency, self.config.most_latency))
+
+
+def _comes_back(ahead: Ahead, most: float) -> bool:
+    """Whether the model, along what is committed, stays clear and within so much [m] of it."""
+    committed, twist = ahead.committed, ahead.most_twist
+    return bool(committed.clear[0] and committed.error[0] <= most and committed.twist[0] <= twist)

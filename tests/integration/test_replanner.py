@@ -159,7 +159,7 @@ def flying(planner, cycles=8):
     return replanner, seen
 
 
-@pytest.mark.parametrize("size", [0.0, 0.49])
+@pytest.mark.parametrize("size", [0.0, 0.2])
 def test_a_vehicle_near_its_reference_plans_from_the_reference(planner, size):
     (one, seen), (other, _) = flying(planner), flying(planner)
     off = size * np.array([0.0, 0.6, 0.8])
@@ -170,9 +170,18 @@ def test_a_vehicle_near_its_reference_plans_from_the_reference(planner, size):
     np.testing.assert_array_equal(one.reference(times).derivatives, other.reference(times).derivatives)
 
 
+def test_a_vehicle_farther_than_the_model_follows_keeps_to_what_is_committed(planner):
+    replanner, seen = flying(planner)
+    committed = replanner.committed
+    cycle = replanner.step(0.8, seen, measured_off(replanner, 0.8, np.array([0.0, 0.29, 0.39])))
+    assert cycle.deviation == pytest.approx(0.486, abs=1e-3)
+    assert cycle.refused > 0
+    assert replanner.committed is committed
+
+
 def test_a_vehicle_off_its_reference_plans_from_where_it_is(planner):
     """Carried on with the error of its velocity to the takeover; it keeps more from obstacles than usual."""
-    replanner, seen = flying(planner)
+    replanner, seen = flying(planner._replace(roll_out=lambda *_: None))
     off, faster = np.array([0.1, -0.5, 0.2]), np.array([0.3, 0.5, 0.0])
     state = replanner.reference(np.array([0.8, 0.9]))
     cycle = replanner.step(0.8, seen, Measured(state.pos[0] + off, state.vel[0] + faster))

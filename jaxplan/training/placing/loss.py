@@ -20,7 +20,7 @@ from jaxplan.optimizer.margins import PER_METRE, body_demand, body_margins
 from jaxplan.policy.network import PolicyNetwork
 from jaxplan.policy.placing import Distance, place_waypoints
 from jaxplan.spline import FlatStateBatch
-from jaxplan.training.placing.problems import Problems, shares_of, solved
+from jaxplan.training.placing.problems import Problems, mean_of, solved
 from jaxplan.training.placing.vehicles import Fleet
 from jaxplan.validation import require_at_least
 from jaxplan.vehicle.params import Vehicle
@@ -94,7 +94,7 @@ def placing_loss(
 ) -> Float[Array, ""]:
     """The mean cost [s] of problems that count."""
     judged = judge(network, parameters, problems, fleet, distance, config)
-    return shares_of(judged.loss, problems.good)
+    return mean_of(judged.loss, problems.good)
 
 
 def _bodies(vehicles: Vehicle, initial: FlatStateBatch, splines: SplineBatch) -> Float[Array, "n k"]:
@@ -118,7 +118,7 @@ def _spare(vehicles: Vehicle, splines: SplineBatch, distance: Distance) -> Float
     found = splines.derivatives(_middles(PLACE_SAMPLES))[:, :, :2].reshape(-1, 2, 3, splines.durations.shape[1])
     speed = safe_norm(found[:, 1], axis=1)
     kept = keep_of(vehicles)[None] + jnp.clip(PER_SPEED * (speed - SLOW), 0.0, MOST)
-    return PER_METRE * (distance(found[:, 0]) - kept)
+    return PER_METRE * (jnp.asarray(distance(found[:, 0])) - kept)
 
 
 def _middles(count: int) -> Float[np.ndarray, "{count}"]:

@@ -120,8 +120,9 @@ def in_flight(
 
 def solved(initial: FlatStateBatch, placed: Placed) -> SplineBatch:
     """The plans: minimum snap in float64, the heading held; in float32."""
-    exact = (placed.durations, placed.points, jnp.asarray(initial.derivatives)[1:])
-    position, _ = interpolate(*(jnp.asarray(leaf, jnp.float64) for leaf in exact))
+    whole = (placed.durations, placed.points, jnp.asarray(initial.derivatives)[1:])
+    times, points, rows = (jnp.asarray(leaf, jnp.float64) for leaf in whole)
+    position, _ = interpolate(times, points, rows)
     durations, yaw = placed.durations, jnp.asarray(initial.yaw, placed.durations.dtype)
     held = jnp.zeros((SEGMENTS, 6, 1, durations.shape[1]), durations.dtype).at[:, 0, 0].set(yaw[0])
     return SplineBatch(durations=durations, position=position.astype(durations.dtype), yaw=held)
@@ -153,7 +154,7 @@ def _along(places: Float[Array, "3 i k"], share: Float[Array, "p k"]) -> Float[A
     return jnp.moveaxis(before + weight * (after - before), 0, 1)
 
 
-def shares_of(part: Float[Array, "k"], good: Bool[Array, "k"]) -> Float[Array, ""]:
+def mean_of(part: Float[Array, "k"], good: Bool[AnyArray, "k"]) -> Float[Array, ""]:
     """The mean over those that count."""
     count = jnp.sum(good).astype(part.dtype)
     return safe_divide(jnp.sum(jnp.where(good, part, 0.0)), count)

@@ -23,7 +23,7 @@ from jaxplan.policy.placing import OUTPUTS, place_waypoints, start_placing
 from jaxplan.precision import in_float64
 from jaxplan.training.placing.courses import CourseSet, load_courses, rooms_of
 from jaxplan.training.placing.loss import PlacingLoss, judge, keep_of, placing_loss
-from jaxplan.training.placing.problems import Problems, distance_in, from_hover, in_flight, shares_of, solved
+from jaxplan.training.placing.problems import Problems, distance_in, from_hover, in_flight, mean_of, solved
 from jaxplan.training.placing.vehicles import Fleet, fleet, random_vehicle
 from jaxplan.validation import require_at_least, require_positive, require_within
 from jaxplan.vehicle.load import load_vehicle
@@ -218,7 +218,7 @@ def build_measure(config: PlacingConfig) -> Measure:
         distance = distance_in(worlds, len(worlds.bounds))
         judged = judge(network, parameters, problems, crew, distance, config.loss)
         kept = (judged.least >= 0.0).astype(judged.loss.dtype)
-        return jnp.stack([shares_of(part, problems.good) for part in (judged.loss, judged.meeting, kept)])
+        return jnp.stack([mean_of(part, problems.good) for part in (judged.loss, judged.meeting, kept)])
 
     exact = in_float64(scored)
 

@@ -1,6 +1,6 @@
 """Vehicles of all sizes, and what the placing policy and its loss need to know of each."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -40,7 +40,8 @@ def random_vehicle(rng: np.random.Generator) -> Vehicle:
     table |= {"thrust_to_weight": ratio, "motor_time_constant": lag}
     values, _ = completed(table)
     numbers = {key: np.asarray(value, float) if isinstance(value, list) else value for key, value in values.items()}
-    return Vehicle(name="random", **numbers, **gains_for(lag))
+    given: dict[str, Any] = numbers | gains_for(lag)
+    return Vehicle(name="random", **given)
 
 
 def fleet(vehicles: list[Vehicle]) -> Fleet:

@@ -1,0 +1,59 @@
+"""What the vehicle would do along plans that might take over, by its model."""
+
+import jax
+import numpy as np
+
+from jaxplan.minsnap.spline_batch import SplineBatch
+from jaxplan.planner import Planner, Rollout, Rollouts, sampled
+from jaxplan.replanner.committed import CommittedPlans
+from jaxplan.replanner.records import Measured
+from jaxplan.spline import FlatState, PiecewisePolynomial
+from jaxplan.tracking.rollout import CONTROL_RATE
+
+COMMITTED_TWIST = 1.5
+"""How much more the model may be turned about body z, where a plan is committed already (arbitrary)."""
+
+
+class Ahead:
+    """The model where the vehicle is now, and the references that lead from there to a takeover."""
+
+    def __init__(self, model: Rollout, committed: CommittedPlans, now: float) -> None:
+        self._model = model
+        self._times = now + np.arange(model.config.steps + 1) / CONTROL_RATE
+        self._kept = committed.reference(self._times)
+        self.committed = model.along(jax.tree.map(lambda rows: rows[None], self._kept))
+        """Of the plans that are committed already."""
+
+    @property
+    def most_twist(self) -> float:
+        """Largest turn [rad] about body z with which a committed plan is kept."""
+        return COMMITTED_TWIST * self._model.config.most_twist
+
+    def along(self, spline: PiecewisePolynomial, takeover: float) -> Rollouts:
+        """One plan that takes over at ``takeover`` [s]."""
+        states = spline.state(np.maximum(self._times - takeover, 0.0))
+        return self._fly(jax.tree.map(lambda rows: np.asarray(rows)[None], states), takeover)
+
+    def along_all(self, splines: SplineBatch, takeover: float) -> Rollouts:
+        """As ``along``, of many."""
+        return self._fly(sampled(splines, self._times - takeover), takeover)
+
+    def _fly(self, plans: FlatState, takeover: float) -> Rollouts:
+        """Along what is committed until the takeover, then along the plans."""
+        before = self._times < takeover - 1e-9
+
+        def spliced(kept: np.ndarray, rows: np.ndarray) -> np.ndarray:
+            return np.where(before.reshape(-1, *(1,) * (kept.ndim - 1)), kept, rows)
+
+        return self._model.along(jax.tree.map(spliced, self._kept, plans), int(before.sum()))
+
+
+def look_ahead(planner: Planner, committed: CommittedPlans, now: float, measured: Measured | None) -> Ahead | None:
+    """None where the vehicle is not measured, or the planner has no model to fly plans in."""
+    settings = planner.config.rollouts
+    if measured is None or settings is None:
+        return None
+    before = now + np.arange(-settings.steps, 1) / CONTROL_RATE
+    flown = committed.reference(before if committed.plans[0].start_time <= before[0] else before[-1:])
+    model = planner.roll_out(flown, *measured)
+    return None if model is None else Ahead(model, committed, now)

@@ -1,0 +1,148 @@
+"""Plans flown in the model: what is followed, what is not, and that where the vehicle comes from counts."""
+
+import numpy as np
+import pytest
+
+from jaxplan.errors import InputError
+from jaxplan.minsnap.spline_batch import SplineBatch
+from jaxplan.planner.rollouts import Rollout, RolloutConfig, compile_rollouts, sampled
+from jaxplan.planner.validator import Room
+from jaxplan.spline import FlatState, PiecewisePolynomial
+from jaxplan.tracking.rollout import CONTROL_RATE
+from jaxplan.vehicle.load import load_vehicle
+from tolerances import assert_close
+
+CONFIG = RolloutConfig()
+VEHICLE = load_vehicle()
+NOW = np.arange(-CONFIG.steps, 1) / CONTROL_RATE
+LATER = np.arange(CONFIG.steps + 1) / CONTROL_RATE
+
+
+@pytest.fixture(scope="module")
+def flyer():
+    return compile_rollouts(CONFIG, VEHICLE)
+
+
+@pytest.fixture(scope="module")
+def room():
+    return Beyond((), np.array([[-20.0, -20.0, 0.0], [2.0, 20.0, 8.0]]))
+
+
+class Beyond(Room):
+    """Everything from x = 2 m on is solid."""
+
+    def free_distance(self, points):
+        return 2.0 - points[..., 0]
+
+
+def along_x(coefficients, times):
+    """References of a polynomial in time along x, 2 m high, heading ahead."""
+    polynomial = np.polynomial.Polynomial(coefficients)
+    rows = np.zeros((len(times), 5, 3))
+    for order in range(5):
+        rows[:, order, 0] = polynomial.deriv(order)(times) if order else polynomial(times)
+    rows[:, 0, 2] = 2.0
+    return FlatState(derivatives=rows, yaw=np.zeros((len(times), 3)))
+
+
+def both(*flights):
+    rows = {name: np.stack([getattr(flight, name) for flight in flights]) for name in ("derivatives", "yaw")}
+    return FlatState(**rows)
+
+
+def start(flyer, room, flown, aside=0.0):
+    position, velocity = flown.pos[-1] + [0.0, aside, 0.0], flown.vel[-1]
+    return Rollout(flyer, room, float(VEHICLE.radius), flown, position, velocity)
+
+
+def test_a_gentle_plan_is_followed_and_keeps_its_distance(flyer, room):
+    model = start(flyer, room, along_x([0.0], NOW))
+    found = model.along(both(along_x([0.0, 0.0, 0.0, 0.0, 1.0], LATER)))
+    assert found.followed[0]
+    assert found.clear[0]
+    assert found.error[0] < 0.05
+    assert found.twist[0] < 0.05
+    assert found.clearance[0] == pytest.approx(1.0, abs=0.05), "1 m of 2 are flown, towards the face of the box"
+
+
+def test_a_plan_through_a_box_is_followed_and_not_clear(flyer, room):
+    model = start(flyer, room, along_x([0.0, 2.0], NOW))
+    found = model.along(both(along_x([0.0, 2.0, 0.5], LATER)))
+    assert found.followed[0]
+    assert not found.clear[0]
+    assert found.clearance[0] < float(VEHICLE.radius)
+
+
+def test_more_than_the_rotors_give_is_not_followed(flyer, room):
+    model = start(flyer, room, along_x([0.0], NOW))
+    found = model.along(both(along_x([0.0, 0.0, -30.0], LATER)))
+    assert not found.followed[0]
+    assert found.error[0] > 1.0
+
+
+def test_it_counts_how_the_vehicle_came_there(flyer, room):
+    """The same plan, from the same reference: followed after a steady flight, and not out of a turn of the thrust."""
+    plan = both(along_x([0.0, -8.0, 7.0], LATER))
+    steady = along_x([0.0, -8.0, 7.0], NOW)
+    turned = along_x([0.0, -8.0, 7.0], NOW)
+    before = NOW < -0.05
+    turned.derivatives[before] = along_x([-0.0175, -7.3, 0.0], NOW).derivatives[before]
+    turned.derivatives[before, 2:, 1] = 8.0 * np.array([1.0, 0.0, 0.0])
+    turned.derivatives[before, 1, 1] = 8.0 * (NOW[before] + 0.05)
+    turned.derivatives[before, 0, 1] = 4.0 * (NOW[before] + 0.05) ** 2
+    after_steady, after_turn = (start(flyer, room, flown).along(plan) for flown in (steady, turned))
+    assert after_steady.followed[0]
+    assert after_turn.error[0] > after_steady.error[0] + 0.03
+
+
+def test_it_begins_where_the_vehicle_is_measured(flyer, room):
+    hover, ahead = along_x([0.0], NOW), both(along_x([0.0], LATER))
+    found = start(flyer, room, hover, aside=0.4).along(ahead)
+    assert found.error[0] == pytest.approx(0.4, abs=0.02)
+    assert not found.followed[0], "0.4 m are more than is asked"
+    alone = FlatState(derivatives=hover.derivatives[-1:], yaw=hover.yaw[-1:])
+    once = start(flyer, room, alone, aside=0.4).along(ahead)
+    assert once.error[0] == pytest.approx(found.error[0], abs=1e-3), "without what is remembered it begins at rest"
+
+
+def test_errors_count_from_the_takeover_on(flyer, room):
+    """Until then it is 0.4 m beside what is committed, and from then on where the plan is."""
+    model = start(flyer, room, along_x([0.0], NOW), aside=0.4)
+    plan = along_x([0.0], LATER)
+    plan.derivatives[20:, 0, 1] = 0.4
+    late, whole = model.along(both(plan), 20), model.along(both(plan))
+    assert whole.error[0] == pytest.approx(0.4, abs=0.02)
+    assert late.error[0] < 0.2
+
+
+def test_many_are_flown_as_one_is(flyer, room):
+    """More than a call takes, too."""
+    model = start(flyer, room, along_x([0.0, 1.0], NOW))
+    flights = [along_x([0.0, 1.0, share], LATER) for share in np.linspace(-3.0, 3.0, 70)]
+    many = model.along(both(*flights))
+    assert many.error.shape == (70,)
+    for index in (0, 40, 69):
+        one = model.along(both(flights[index]))
+        for name in ("error", "twist", "clearance"):
+            assert getattr(one, name)[0] == pytest.approx(getattr(many, name)[index], abs=1e-3)
+
+
+def test_references_of_a_batch_are_those_of_its_splines():
+    rng = np.random.default_rng(0)
+    durations = np.where(np.arange(6)[:, None] < [[2, 3, 1]], rng.uniform(0.2, 0.5, (6, 3)), 0.0)
+    position, yaw = rng.normal(size=(6, 10, 3, 3)), rng.normal(size=(6, 6, 1, 3))
+    batch = SplineBatch(durations=durations, position=position, yaw=yaw)
+    times = LATER - 0.1
+    found = sampled(batch, times)
+    for index in range(3):
+        spline = batch.spline(index)
+        assert isinstance(spline, PiecewisePolynomial)
+        want = spline.state(np.maximum(times, 0.0))
+        assert_close(found.derivatives[index][:, 0], want.pos, "formula", np.float32)
+        assert_close(found.yaw[index][:, 0], want.yaw[:, 0], "formula", np.float32)
+
+
+@pytest.mark.parametrize("name", ["seconds", "most_error", "most_twist"])
+def test_limits_are_positive(name):
+    with pytest.raises(InputError, match=name):
+        RolloutConfig(**{name: 0.0})
