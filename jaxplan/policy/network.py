@@ -31,11 +31,9 @@ class NetworkConfig:
     """Width of keys, queries and values."""
     latent: int = 32
     """Width of the bottleneck."""
-    outputs: int = 1
-    """Numbers for each segment."""
 
     def __post_init__(self) -> None:
-        require_within("network", self, 1, 1024, "hidden", "attention", "latent", "outputs")
+        require_within("network", self, 1, 1024, "hidden", "attention", "latent")
 
 
 class Memory(NamedTuple):
@@ -78,9 +76,10 @@ class Linear(nn.Module):
 
 
 class PolicyNetwork(nn.Module):
-    """``NetworkConfig.outputs`` numbers for each segment; the first is a log-duration in the sequence's own unit."""
+    """``outputs`` numbers for each segment; the first is a log-duration in the sequence's own unit."""
 
     config: NetworkConfig
+    outputs: int = 1
 
     def setup(self) -> None:
         """Name the layers, as the stored weights have them."""
@@ -96,7 +95,7 @@ class PolicyNetwork(nn.Module):
         self.state_gates = Linear(3 * width, bias=False)
         self.hidden_gates = Linear(3 * width + attention, bias=False)
         self.context_gates, self.last_gates = Linear(3 * width, bias=False), Linear(3 * width, bias=False)
-        self.head = [Linear(width), Linear(self.config.outputs)]
+        self.head = [Linear(width), Linear(self.outputs)]
 
     def encode(self, features: Float[Array, "m f k"], real: Bool[Array, "m k"]) -> tuple[Memory, Bottleneck]:
         """Read the features of the segments once; padding, where ``real`` is false, does not matter."""
@@ -126,7 +125,7 @@ class PolicyNetwork(nn.Module):
             output = self.head[1](nn.relu(self.head[0](moved)))
             return _Decoded(jnp.where(real[None], moved, hidden), jnp.where(real[None], output, last)), output
 
-        carry = _Decoded(hidden, jnp.zeros((self.config.outputs, hidden.shape[1]), hidden.dtype))
+        carry = _Decoded(hidden, jnp.zeros((self.outputs, hidden.shape[1]), hidden.dtype))
         if self.is_initializing():
             return step(carry, _Segment(memory.inputs[0], memory.real[0]))[1][None]
         return jax.lax.scan(step, carry, _Segment(memory.inputs, memory.real))[1]

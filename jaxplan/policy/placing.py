@@ -136,7 +136,7 @@ def look_around(distance: Distance, points: Float[AnyArray, "7 3 k"]) -> Float[A
 
 def placing_policy(config: NetworkConfig, parameters: Any) -> Place:
     """The policy with these weights; it computes in float32 whatever comes in."""
-    network = PolicyNetwork(config)
+    network = PolicyNetwork(config, OUTPUTS)
 
     def place(courses: Courses, initial: FlatStateBatch) -> Placed:
         return place_waypoints(network, parameters, courses, initial)
@@ -178,7 +178,7 @@ def start_placing(config: NetworkConfig, key: Array) -> Any:
     """Random weights, a tree as Flax has it."""
     features = jnp.ones((SEGMENTS, SEGMENT_FEATURES + ROOM_FEATURES, 2), jnp.float32)
     state = jnp.ones((STATE_FEATURES + 1 + VEHICLE_NUMBERS, 2), jnp.float32)
-    return PolicyNetwork(config).init(key, features, features[:, 0] > 0.0, state)
+    return PolicyNetwork(config, OUTPUTS).init(key, features, features[:, 0] > 0.0, state)
 
 
 def _own_frame(points: Float[Array, "7 3 k"], velocity: Float[Array, "3 k"]) -> _Own:

@@ -1,5 +1,6 @@
 """Weights of a placing policy as one file (``jaxplan.weights``), and whether they still place as they placed."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,7 +11,7 @@ from jaxtyping import Float
 
 from jaxplan.errors import FileError
 from jaxplan.policy.network import NetworkConfig
-from jaxplan.policy.placing import OUTPUTS, SEGMENTS, VEHICLE_NUMBERS, Courses, Place, placing_policy
+from jaxplan.policy.placing import SEGMENTS, VEHICLE_NUMBERS, Courses, Place, placing_policy
 from jaxplan.spline import FlatStateBatch
 from jaxplan.validation import require_path
 from jaxplan.weights import read_weights, unflatten, write_weights
@@ -30,8 +31,7 @@ class TrainedPlacing(NamedTuple):
 
 def save_placing(path: Path, config: NetworkConfig, parameters: Any, card: dict[str, Any]) -> None:
     """Write weights with their model ``card``: how they were made and how they score."""
-    sizes = {name: getattr(config, name) for name in ("hidden", "attention", "latent")}
-    header = {"network": sizes, "golden": _golden(config, parameters).tolist(), "card": card}
+    header = {"network": dataclasses.asdict(config), "golden": _golden(config, parameters).tolist(), "card": card}
     write_weights(path, KIND, header, parameters)
 
 
@@ -50,7 +50,7 @@ def load_placing_parameters(path: str | Path) -> TrainedPlacing:
     require_path(KIND, path)
     header, arrays = read_weights(Path(path), KIND)
     try:
-        config = NetworkConfig(**header["network"], outputs=OUTPUTS)
+        config = NetworkConfig(**header["network"])
         golden = np.asarray(header["golden"], float)
     except (KeyError, TypeError, ValueError) as error:
         raise FileError(f"{path}: its header is not a {KIND}'s ({error}); use a file of jaxplan") from error

@@ -11,7 +11,6 @@ from jaxplan.policy.network import NetworkConfig
 from jaxplan.policy.placing import (
     INNER_LEAST,
     INNER_SHARE,
-    OUTPUTS,
     SEGMENTS,
     SHORTEST,
     STOP_REACH,
@@ -27,7 +26,7 @@ from jaxplan.spline import FlatStateBatch
 from jaxplan.vehicle.load import load_vehicle
 from tolerances import assert_close
 
-SMALL = NetworkConfig(hidden=8, attention=4, latent=4, outputs=OUTPUTS)
+SMALL = NetworkConfig(hidden=8, attention=4, latent=4)
 WIDTH = 5
 
 

@@ -24,7 +24,7 @@ from jaxplan.vehicle.report import MASSES, RATIOS, thrust_to_weight
 from jaxplan.world.host_distance import host_free_distance
 from tolerances import assert_close
 
-SMALL = NetworkConfig(hidden=8, attention=4, latent=4, outputs=OUTPUTS)
+SMALL = NetworkConfig(hidden=8, attention=4, latent=4)
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +150,7 @@ def test_a_gentle_plan_costs_its_time_and_a_hasty_one_more(some):
     """With weights of 0 the plans go along the courses, in the time that the outputs' bias says."""
     first, _, _, distance = flown(some)
     crew = fleet([load_vehicle("mfrl")]).of(np.zeros(first.good.shape[0], int))
-    config, network = PlacingLoss(), PolicyNetwork(SMALL)
+    config, network = PlacingLoss(), PolicyNetwork(SMALL, OUTPUTS)
     zero = jax.tree.map(jnp.zeros_like, start_placing(SMALL, jax.random.key(0)))
 
     def judged(log_duration: float):
@@ -170,7 +170,7 @@ def test_a_gentle_plan_costs_its_time_and_a_hasty_one_more(some):
 
 def test_plans_hold_their_heading_and_end_at_rest(some):
     first, *_ = flown(some)
-    network, weights = PolicyNetwork(SMALL), start_placing(SMALL, jax.random.key(0))
+    network, weights = PolicyNetwork(SMALL, OUTPUTS), start_placing(SMALL, jax.random.key(0))
     placed = in_float64(place_waypoints)(network, weights, first.courses, first.initial)
     splines = in_float64(solved)(first.initial, placed)
     end = np.asarray(splines.derivatives(np.array([1.0])))[-1, 0]

@@ -39,7 +39,7 @@ TESTED = 24
 class PlacingConfig:
     """How a placing policy is trained."""
 
-    network: NetworkConfig = NetworkConfig(outputs=OUTPUTS)
+    network: NetworkConfig = NetworkConfig()
     """Sizes of the network."""
     vehicle: str = "mfrl"
     """Which it is for above all: a preset's name or a TOML file."""
@@ -151,7 +151,7 @@ def train_placing(
 
 def build_draw(config: PlacingConfig) -> Draw:
     """Problems, compiled once."""
-    network = PolicyNetwork(config.network)
+    network = PolicyNetwork(config.network, OUTPUTS)
 
     @jax.jit
     def first(points: Float[Array, "7 3 k"], worlds: World, crew: Fleet, key: PRNGKeyArray) -> Problems:
@@ -178,7 +178,7 @@ def build_draw(config: PlacingConfig) -> Draw:
 
 def build_advance(config: PlacingConfig) -> Advance:
     """The gradient step, compiled once: all generations are one batch."""
-    network, optimiser = PolicyNetwork(config.network), _optimiser(config)
+    network, optimiser = PolicyNetwork(config.network, OUTPUTS), _optimiser(config)
 
     @jax.jit
     def advance(state: State, problems: list[Problems], worlds: World, crew: Fleet) -> tuple[State, Float[Array, ""]]:
@@ -211,7 +211,7 @@ class Measure(Protocol):
 
 def build_measure(config: PlacingConfig) -> Measure:
     """Scores on ``TESTED`` rooms, with a seed of their own."""
-    network, draw = PolicyNetwork(config.network), build_draw(config)
+    network, draw = PolicyNetwork(config.network, OUTPUTS), build_draw(config)
 
     @jax.jit
     def scored(parameters: Any, problems: Problems, worlds: World, crew: Fleet) -> Float[Array, "3"]:
