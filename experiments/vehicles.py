@@ -28,17 +28,13 @@ from jaxplan.tracking.trial import HELD, USUAL_RADIUS
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.reach import sideways_acceleration
-from jaxplan.vehicle.report import MASSES, RATIOS, thrust_to_weight
+from jaxplan.vehicle.report import LAGS, MASSES, RATIOS, thrust_to_weight, usual_arm
 from jaxplan.vehicle.toml import list_presets
 from jaxplan.world.load import ENVIRONMENTS, load_world
 from jaxplan.world.obstacles import World
 
 from .figures.vehicles import draw_vehicles
 
-LAGS = 0.015, 0.05
-"""s."""
-ARM = 0.113, 0.771
-"""m and kg of the preset mfrl: arms grow with the cube root of the mass."""
 BESIDE = 0.15
 """m; goals and paths keep so much more than the vehicle's radius, and at least what an interception keeps."""
 SOONEST, LATEST = 1.0, 6.0
@@ -77,7 +73,7 @@ def items(config: Config) -> list[Item]:
     found = [Item(name, "vehicles", {"vehicle": name}) for name in list_presets()]
     for nth in range(config.count):
         mass = _between(MASSES, (nth + 0.5) / config.count)
-        values = {"mass": mass, "arm": ARM[0] * (mass / ARM[1]) ** (1.0 / 3.0)}
+        values = {"mass": mass, "arm": usual_arm(mass)}
         values |= {"thrust_to_weight": _between(RATIOS, ranks[0][nth])}
         values |= {"motor_time_constant": _between(LAGS, ranks[1][nth])}
         found.append(Item(f"{mass:.2f} kg", "vehicles", {"vehicle": None, **values}))

@@ -110,7 +110,7 @@ def body_demand(
 def body_slopes(
     vehicle: Vehicle, yaw: Scalar, max_body_rate: Scalar, derivatives: Float[Array, "4 3"]
 ) -> tuple[Float[Array, "13"], Float[Array, "13 4 3"]]:
-    """``body_demand`` and its derivatives, backwards: a third of the time of forwards, measured."""
+    """``body_demand`` and its derivatives, backwards: measured, a quarter of the time of forwards."""
 
     def aloft(drag: Scalar) -> tuple[Float[Array, "6"], Float[Array, "6 4 3"]]:
         value, back = jax.vjp(functools.partial(_aloft, vehicle, yaw, drag), derivatives)

@@ -36,8 +36,6 @@ class Descended(NamedTuple):
     least: Float[Array, "1"]
     """Of the optimiser's margins."""
     splines: SplineBatch
-    start: Int[Array, ""]
-    """Number of the start that it is from."""
 
 
 @runtime_checkable
@@ -83,11 +81,10 @@ def compile_descent(config: RefinementConfig, vehicle: Vehicle) -> Descend:
         limits: Limits,
         variables: Float[Array, "k v"],
         descent: DescentConfig,
-    ) -> tuple[Descent, Int[Array, ""]]:
+    ) -> Descent:
         task = task_of(world, state, target, limits)
-        best = _best(task, variables, descent)
-        from_there = functools.partial(values, task), functools.partial(linearise, task), variables[best][None]
-        return descend(*from_there, descent), best
+        start = variables[_best(task, variables, descent)][None]
+        return descend(functools.partial(values, task), functools.partial(linearise, task), start, descent)
 
     @jax.jit
     def flown(
@@ -103,8 +100,8 @@ def compile_descent(config: RefinementConfig, vehicle: Vehicle) -> Descend:
         variables: Float[np.ndarray, "k v"],
         descent: DescentConfig,
     ) -> Descended:
-        found, best = optimised(world, state, target, limits, variables, descent)
-        return Descended(found.objective, found.least, flown(world, state, target, limits, found.x), best)
+        found = optimised(world, state, target, limits, variables, descent)
+        return Descended(found.objective, found.least, flown(world, state, target, limits, found.x))
 
     return descended
 

@@ -5,8 +5,9 @@
 2. ``pretrain`` (``jaxplan train pretrain``): a policy imitates the labels; ``imitation`` is its loss.
 3. ``mfrl`` (``jaxplan train mfrl``): in turn, ``active`` chooses flights for rollouts, ``classifier`` trains the
    feasibility classifier on them, ``reinforce`` trains the policy with that classifier.
-4. ``evaluate`` scores both for their model cards, by the measures of ``scores``.
+4. ``placing/`` (``jaxplan train courses``, ``jaxplan train placing``): a policy that places waypoints, too.
+5. ``evaluate`` scores policy and classifier for their model cards, by the measures of ``scores``.
 
-``runs`` keeps the folders of runs that go on where they were cut off; ``tours`` makes the flights that target
-predictors learn from. A training is for one vehicle, that of its dataset (``dataset.dataset_vehicle``).
+``gradient`` is what trainings by gradient share; ``tours`` makes the flights that target predictors learn from. A
+training is for one vehicle, that of its dataset (``dataset.dataset_vehicle``), but for the placing policy's.
 """

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from flax import serialization
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxplan.files import state_configuration, write_atomically
 from jaxplan.knots import MAX_WAYPOINTS
@@ -24,6 +24,7 @@ from jaxplan.policy.neural import allocate_times, read_sequences
 from jaxplan.precision import in_float64
 from jaxplan.training.dataset import dataset_vehicle
 from jaxplan.training.examples import Examples, batches, load_examples, take_examples
+from jaxplan.training.gradient import State, annealed_adamw, begin, stepped
 from jaxplan.training.imitation import ImitationConfig, imitation_loss
 from jaxplan.validation import require_at_least, require_positive, require_within
 from jaxplan.vehicle.params import Vehicle
@@ -56,17 +57,6 @@ class PretrainConfig:
         require_at_least("pretrain", self, 1, "steps", "batch", "evaluate_every", "patience")
         require_positive("pretrain", self, "learning_rate")
         require_within("pretrain", self, 0.0, 1.0, "average")
-
-
-class State(NamedTuple):
-    """All that a training run changes."""
-
-    parameters: Any
-    """Weights, a tree as Flax has it."""
-    averaged: Any
-    """Their running mean."""
-    optimiser: optax.OptState
-    step: Int[Array, ""]
 
 
 @runtime_checkable
@@ -102,8 +92,7 @@ def start_training(config: PretrainConfig, start: Any = None) -> State:
     shapes = (MAX_WAYPOINTS - 1, SEGMENT_FEATURES, 2), (MAX_WAYPOINTS - 1, 2), (STATE_FEATURES, 2)
     features, real, state = (jnp.ones(shape, jnp.float32) for shape in shapes)
     parameters = start or network.init(jax.random.key(config.seed), features, real > 0.0, state)
-    optimiser = _optimiser(config).init(parameters)
-    return State(parameters, parameters, optimiser, jnp.int32(0))
+    return begin(parameters, _optimiser(config))
 
 
 def build_step(config: PretrainConfig, vehicle: Vehicle) -> Step:
@@ -114,12 +103,7 @@ def build_step(config: PretrainConfig, vehicle: Vehicle) -> Step:
     def advance(state: State, batch: Examples, key: PRNGKeyArray) -> tuple[State, Float[Array, ""]]:
         cost = lambda p: imitation_loss(network, p, batch, key, config.imitation, vehicle)  # noqa: E731
         loss, slope = jax.value_and_grad(cost)(state.parameters)
-        with jax.numpy_dtype_promotion("standard"):  # optax counts steps in int32
-            change, optimiser_state = optimiser.update(slope, state.optimiser, state.parameters)
-            parameters = optax.apply_updates(state.parameters, change)
-            rate = jnp.minimum(config.average, (1.0 + state.step) / (10.0 + state.step))
-            averaged = optax.incremental_update(parameters, state.averaged, 1.0 - rate)
-        return State(parameters, averaged, optimiser_state, state.step + 1), loss
+        return stepped(state, slope, optimiser, config.average), loss
 
     return in_float64(advance)
 
@@ -186,11 +170,7 @@ def build_measure(config: PretrainConfig) -> Measure:
 
 
 def _optimiser(config: PretrainConfig) -> optax.GradientTransformation:
-    warm = min(500, config.steps // 10 + 1)
-    rate = optax.warmup_cosine_decay_schedule(
-        0.0, config.learning_rate, warm, config.steps, 1e-3 * config.learning_rate
-    )
-    return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(rate, weight_decay=1e-2))
+    return annealed_adamw(config.learning_rate, config.steps, warmup=500, last=1e-3, weight_decay=1e-2)
 
 
 def _resume(folder: Path, config: PretrainConfig, start: Any) -> tuple[State, float, int]:

@@ -13,8 +13,17 @@ MASSES = (0.03, 5.0)
 """kg, of the vehicles that plans are made for (arbitrary)."""
 RATIOS = (1.6, 8.0)
 """Their thrust-to-weight ratios."""
+LAGS = (0.015, 0.05)
+"""Of their motors [s]."""
+_ARM = (0.113, 0.771)
+"""m and kg of the preset mfrl."""
 LEAST_RATIO = 1.2
 """Below, nothing is left for flying."""
+
+
+def usual_arm(mass: float) -> float:
+    """Arm [m] of a vehicle of so many kg: it grows with the cube root of the mass."""
+    return _ARM[0] * (mass / _ARM[1]) ** (1.0 / 3.0)
 
 
 class Line(NamedTuple):

@@ -6,7 +6,6 @@ rooms are made anew from their seeds.
 
 import dataclasses
 import json
-import math
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -167,8 +166,3 @@ def _courses(room: Room, rng: np.random.Generator) -> Float[np.ndarray, "c 7 3"]
 @jax.jit
 def _even(paths: Float[Array, "k l 3"]) -> Float[Array, "k 6 3"]:
     return jax.vmap(lambda path: resample(path, SEGMENTS))(paths)
-
-
-def rooms_of(courses: CourseSet) -> int:
-    """How many rooms there are."""
-    return math.prod(courses.points.shape[:1])

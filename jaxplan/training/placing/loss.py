@@ -17,8 +17,11 @@ from jaxtyping import Array, Float
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.numerics import safe_norm
 from jaxplan.optimizer.margins import PER_METRE, body_demand, body_margins
+from jaxplan.planner import RefinementConfig
+from jaxplan.planner.descent import MAX_TILT
 from jaxplan.policy.network import PolicyNetwork
 from jaxplan.policy.placing import Distance, place_waypoints
+from jaxplan.selection import CheckConfig
 from jaxplan.spline import FlatStateBatch
 from jaxplan.training.placing.problems import Problems, mean_of, solved
 from jaxplan.training.placing.vehicles import Fleet
@@ -27,14 +30,8 @@ from jaxplan.vehicle.params import Vehicle
 
 BODY_SAMPLES, PLACE_SAMPLES = 8, 12
 """Instants of a segment at which the body and the distance are looked at."""
-TRACKING, SPARE = 0.1, 0.05
-"""Beyond the radius [m]: the checks' margin at rest, and what refinements keep beside it."""
-SLOW, PER_SPEED, MOST = 2.0, 0.025, 0.15
-"""m/s from which that grows, m per m/s, and by how many m at most: as the checks'."""
-MAX_TILT, MAX_PITCH = np.radians(78.5), np.radians(70.0)
-MAX_BODY_RATE, MAX_LAG = 7.0, 0.14
-"""rad/s, and rad within the motors' time constant."""
-DILATION = 1.06
+CHECKS, REFINED = CheckConfig(), RefinementConfig()
+"""What the planner keeps to, and its refinements beyond that."""
 RESERVE = 0.02
 """By which margins should be above 0."""
 LARGE = 3.0
@@ -69,7 +66,7 @@ class Judged(NamedTuple):
 
 def keep_of(vehicles: Vehicle) -> Float[Array, "k"]:
     """Distance [m] that each of k vehicles keeps at rest."""
-    return jnp.asarray(vehicles.radius) + (TRACKING + SPARE)
+    return jnp.asarray(vehicles.radius) + (CHECKS.tracking_margin + REFINED.spare)
 
 
 def judge(
@@ -99,14 +96,15 @@ def placing_loss(
 
 def _bodies(vehicles: Vehicle, initial: FlatStateBatch, splines: SplineBatch) -> Float[Array, "n k"]:
     """Margins of the body at all instants."""
-    faster = (DILATION ** np.arange(1.0, 5.0)).astype(splines.durations.dtype)
+    faster = (REFINED.dilation ** np.arange(1.0, 5.0)).astype(splines.durations.dtype)
     states = splines.derivatives(_middles(BODY_SAMPLES))[:, :, 1:] * faster[None, None, :, None, None]
     width = states.shape[-1]
+    tilt, pitch = (jnp.float32(np.radians(angle)) for angle in (MAX_TILT, REFINED.max_pitch))
 
     def margins(vehicle: Vehicle, yaw: Float[Array, ""], rows: Float[Array, "i 4 3"]) -> Float[Array, "i 21"]:
-        rate = jnp.minimum(MAX_BODY_RATE, MAX_LAG / vehicle.motor_time_constant)
+        rate = jnp.minimum(REFINED.max_body_rate, REFINED.max_lag / vehicle.motor_time_constant)
         demands = jax.vmap(functools.partial(body_demand, vehicle, yaw, rate))(rows)
-        return body_margins(vehicle, jnp.float32(MAX_TILT), jnp.float32(MAX_PITCH), demands)
+        return body_margins(vehicle, tilt, pitch, demands)
 
     rows = states.reshape(-1, 4, 3, width)
     found = jax.vmap(margins, in_axes=(0, 0, -1), out_axes=-1)(vehicles, jnp.asarray(initial.yaw)[0], rows)
@@ -117,7 +115,7 @@ def _spare(vehicles: Vehicle, splines: SplineBatch, distance: Distance) -> Float
     """Distances beyond what is kept, weighted as the optimiser's."""
     found = splines.derivatives(_middles(PLACE_SAMPLES))[:, :, :2].reshape(-1, 2, 3, splines.durations.shape[1])
     speed = safe_norm(found[:, 1], axis=1)
-    kept = keep_of(vehicles)[None] + jnp.clip(PER_SPEED * (speed - SLOW), 0.0, MOST)
+    kept = (jnp.asarray(vehicles.radius) + REFINED.spare)[None] + CHECKS.margin_at(speed)
     return PER_METRE * (jnp.asarray(distance(found[:, 0])) - kept)
 
 

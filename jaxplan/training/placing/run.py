@@ -4,7 +4,6 @@ A run is a folder: ``state.msgpack`` to go on from, ``metrics.jsonl``, and the b
 """
 
 import dataclasses
-import functools
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +20,8 @@ from jaxplan.files import state_configuration, write_atomically
 from jaxplan.policy.network import NetworkConfig, PolicyNetwork
 from jaxplan.policy.placing import OUTPUTS, place_waypoints, start_placing
 from jaxplan.precision import in_float64
-from jaxplan.training.placing.courses import CourseSet, load_courses, rooms_of
+from jaxplan.training.gradient import State, annealed_adamw, begin, stepped
+from jaxplan.training.placing.courses import CourseSet, load_courses
 from jaxplan.training.placing.loss import PlacingLoss, judge, keep_of, placing_loss
 from jaxplan.training.placing.problems import Problems, distance_in, from_hover, in_flight, mean_of, solved
 from jaxplan.training.placing.vehicles import Fleet, fleet, random_vehicle
@@ -71,17 +71,6 @@ class PlacingConfig:
         require_within("placing", self, 0.0, 1.0, "average", "others")
 
 
-class State(NamedTuple):
-    """All that a training run changes."""
-
-    parameters: Any
-    """Weights, a tree as Flax has it."""
-    averaged: Any
-    """Their running mean."""
-    optimiser: optax.OptState
-    step: Int[Array, ""]
-
-
 class Score(NamedTuple):
     """On held-out courses, by generation; the first is from hover."""
 
@@ -96,10 +85,8 @@ class Score(NamedTuple):
 class Draw(Protocol):
     """Problems of all generations."""
 
-    def __call__(
-        self, parameters: Any, courses: CourseSet, crew: Fleet, key: PRNGKeyArray, /
-    ) -> tuple[list[Problems], World]:
-        """From courses of a few rooms and a vehicle for each; with the rooms."""
+    def __call__(self, parameters: Any, courses: CourseSet, crew: Fleet, key: PRNGKeyArray, /) -> list[Problems]:
+        """From courses of a few rooms, and a vehicle for each."""
 
 
 @runtime_checkable
@@ -127,13 +114,13 @@ def train_placing(
     training, held_out = load_courses(data, held_out=False), load_courses(data, held_out=True)
     state, best = _resume(folder, config, start)
     draw, advance, measure = build_draw(config), build_advance(config), build_measure(config)
-    own, others = fleets(config)
+    vehicles = _vehicles(config)
+    own = vehicles.of(np.arange(1))
     for step in range(int(state.step), config.steps):
         rng = np.random.default_rng([config.seed, step])
         key = jax.random.fold_in(jax.random.key(config.seed), step)
-        some, crew = _drawn(training, config, rng), _crew(own, others, config, rng)
-        problems, worlds = draw(state.parameters, some, crew, key)
-        state, loss = advance(state, problems, worlds, crew)
+        some, crew = _drawn(training, config, rng), _crew(vehicles, config, rng)
+        state, loss = advance(state, draw(state.parameters, some, crew, key), some.worlds, crew)
         if (step + 1) % config.evaluate_every and step + 1 < config.steps:
             continue
         score = measure(state.averaged, held_out, own)
@@ -165,13 +152,13 @@ def build_draw(config: PlacingConfig) -> Draw:
         distance = distance_in(worlds, len(worlds.bounds))
         return in_flight(flown, meeting, crew, keep_of(crew.vehicles), distance, key)
 
-    def draw(parameters: Any, courses: CourseSet, crew: Fleet, key: PRNGKeyArray) -> tuple[list[Problems], World]:
+    def draw(parameters: Any, courses: CourseSet, crew: Fleet, key: PRNGKeyArray) -> list[Problems]:
         points = np.moveaxis(courses.points.reshape(-1, *courses.points.shape[2:]), 0, -1)
         keys = jax.random.split(key, config.generations + 1)
         found = [first(points, courses.worlds, crew, keys[0])]
         for number in range(config.generations):
             found.append(onward(parameters, found[-1], courses.worlds, crew, keys[number + 1]))
-        return found, courses.worlds
+        return found
 
     return in_float64(draw)
 
@@ -190,13 +177,8 @@ def build_advance(config: PlacingConfig) -> Advance:
         distance = distance_in(rooms, len(rooms.bounds))
         cost = lambda p: placing_loss(network, p, together, all_crew, distance, config.loss)  # noqa: E731
         loss, slope = jax.value_and_grad(cost)(state.parameters)
-        slope = jax.tree.map(jnp.nan_to_num, slope)
-        with jax.numpy_dtype_promotion("standard"):  # optax counts steps in int32
-            change, optimiser_state = optimiser.update(slope, state.optimiser, state.parameters)
-            parameters = optax.apply_updates(state.parameters, change)
-            rate = jnp.minimum(config.average, (1.0 + state.step) / (10.0 + state.step))
-            averaged = optax.incremental_update(parameters, state.averaged, 1.0 - rate)
-        return State(parameters, averaged, optimiser_state, state.step + 1), loss
+        slope = jax.tree.map(jnp.nan_to_num, slope)  # a problem that cannot be solved must not spoil the weights
+        return stepped(state, slope, optimiser, config.average), loss
 
     return in_float64(advance)
 
@@ -224,39 +206,35 @@ def build_measure(config: PlacingConfig) -> Measure:
 
     def measure(parameters: Any, courses: CourseSet, crew: Fleet) -> Score:
         rows = []
-        for begin in range(0, min(TESTED, rooms_of(courses)), config.rooms):
-            members = np.arange(begin, begin + config.rooms) % rooms_of(courses)
+        for first in range(0, min(TESTED, len(courses.points)), config.rooms):
+            members = np.arange(first, first + config.rooms) % len(courses.points)
             some = _take(courses, members, np.arange(config.courses)[None].repeat(config.rooms, axis=0))
             lanes = np.arange(config.rooms * config.courses) % len(crew.numbers)
             flown = crew.of(lanes)
-            problems, worlds = draw(parameters, some, flown, jax.random.key(begin))
-            rows.append([np.asarray(exact(parameters, part, worlds, flown)) for part in problems])
+            problems = draw(parameters, some, flown, jax.random.key(first))
+            rows.append([np.asarray(exact(parameters, part, some.worlds, flown)) for part in problems])
         means = np.mean(rows, axis=0)
         return Score(*(means[:, column].tolist() for column in range(3)))
 
     return measure
 
 
-@functools.lru_cache(maxsize=4)
-def fleets(config: PlacingConfig) -> tuple[Fleet, Fleet]:
-    """The vehicle that it is for, and ``FLEET`` random ones, whose gains count as that one's."""
+def _vehicles(config: PlacingConfig) -> Fleet:
+    """The vehicle that it is for, then ``FLEET`` random ones."""
     rng = np.random.default_rng([config.seed, 77])
-    own = load_vehicle(config.vehicle)
-    whole = fleet([own, *(random_vehicle(rng) for _ in range(FLEET))])
-    return whole.of(np.arange(1)), whole.of(np.arange(1, FLEET + 1))
+    return fleet([load_vehicle(config.vehicle), *(random_vehicle(rng) for _ in range(FLEET))])
 
 
-def _crew(own: Fleet, others: Fleet, config: PlacingConfig, rng: np.random.Generator) -> Fleet:
+def _crew(vehicles: Fleet, config: PlacingConfig, rng: np.random.Generator) -> Fleet:
     """A vehicle for each lane."""
     lanes = config.rooms * config.courses
-    both = jax.tree.map(lambda *leaves: np.concatenate(leaves), own, others)
     other = rng.random(lanes) < config.others
-    return both.of(np.where(other, 1 + rng.integers(0, len(others.numbers), lanes), 0))
+    return vehicles.of(np.where(other, rng.integers(1, FLEET + 1, lanes), 0))
 
 
 def _drawn(courses: CourseSet, config: PlacingConfig, rng: np.random.Generator) -> CourseSet:
     """Random courses in random rooms, long ones more often: there is more flight in them."""
-    members = rng.integers(0, rooms_of(courses), config.rooms)
+    members = rng.integers(0, len(courses.points), config.rooms)
     chances = np.cumsum(np.linalg.norm(courses.points[members, :, -2] - courses.points[members, :, 0], axis=-1), axis=1)
     drawn = rng.random((config.rooms, config.courses)) * chances[:, -1:]
     which = [np.searchsorted(of_room, some) for of_room, some in zip(chances, drawn, strict=True)]
@@ -269,18 +247,14 @@ def _take(courses: CourseSet, rooms: Int[np.ndarray, "r"], which: Int[np.ndarray
 
 
 def _optimiser(config: PlacingConfig) -> optax.GradientTransformation:
-    warm = min(300, config.steps // 10 + 1)
-    rate = optax.warmup_cosine_decay_schedule(
-        0.0, config.learning_rate, warm, config.steps, 1e-2 * config.learning_rate
-    )
-    return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(rate, weight_decay=1e-3))
+    return annealed_adamw(config.learning_rate, config.steps, warmup=300, last=1e-2, weight_decay=1e-3)
 
 
 def _resume(folder: Path, config: PlacingConfig, start: Any) -> tuple[State, float]:
     """The run in ``folder``, or a new one."""
     state_configuration(folder, dataclasses.asdict(config))
     parameters = start or start_placing(config.network, jax.random.key(config.seed))
-    fresh = State(parameters, parameters, _optimiser(config).init(parameters), jnp.int32(0))
+    fresh = begin(parameters, _optimiser(config))
     saved = folder / "state.msgpack"
     if not saved.exists():
         return fresh, np.inf

@@ -12,14 +12,10 @@ from jaxplan.records import replace
 from jaxplan.vehicle.assumed import completed
 from jaxplan.vehicle.gains import gains_for
 from jaxplan.vehicle.params import Vehicle
-from jaxplan.vehicle.report import MASSES, RATIOS
+from jaxplan.vehicle.report import LAGS, MASSES, RATIOS, usual_arm
 
-LAGS = (0.015, 0.05)
-"""Of the motors [s]."""
-ARM = (0.113, 0.771)
-"""m and kg of the preset mfrl: arms grow with the cube root of the mass."""
 ARMS = (0.8, 1.25)
-"""By which they differ from that."""
+"""By which arms differ from the usual one."""
 
 
 class Fleet(NamedTuple):
@@ -36,7 +32,7 @@ class Fleet(NamedTuple):
 def random_vehicle(rng: np.random.Generator) -> Vehicle:
     """One that is given by mass, arm, thrust and lag alone, evenly spread on a logarithmic scale."""
     mass, ratio, lag, arm = (float(np.exp(rng.uniform(*np.log(span)))) for span in (MASSES, RATIOS, LAGS, ARMS))
-    table = {"mass": mass, "arm": arm * ARM[0] * (mass / ARM[1]) ** (1.0 / 3.0)}
+    table = {"mass": mass, "arm": arm * usual_arm(mass)}
     table |= {"thrust_to_weight": ratio, "motor_time_constant": lag}
     values, _ = completed(table)
     numbers = {key: np.asarray(value, float) if isinstance(value, list) else value for key, value in values.items()}
