@@ -27,8 +27,8 @@ from jaxplan.runner.tables import as_latex, as_markdown, number
 from jaxplan.scenario import Scenario
 from jaxplan.spline import FlatState
 from jaxplan.status import PlanStatus
+from jaxplan.tracking.rates import CONTROL_RATE
 from jaxplan.tracking.result import Thresholds
-from jaxplan.tracking.rollout import CONTROL_RATE
 from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.load import ENVIRONMENTS
 

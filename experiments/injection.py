@@ -21,7 +21,8 @@ from jaxplan.scenario import Scenario
 from jaxplan.spline import FlatState
 from jaxplan.tracking.disturbance import Disturbance
 from jaxplan.tracking.plant import PlantState
-from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, Plant
+from jaxplan.tracking.rates import CONTROL_RATE
+from jaxplan.tracking.rollout import FlightLog, Plant
 from jaxplan.vehicle.reach import sideways_acceleration
 from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.obstacles import World

@@ -10,7 +10,8 @@ from sources import Import, code, offenders
 LAYERS = [
     {"arrays"},
     {"records", "status", "errors", "numerics", "polynomials", "precision", "batching", "compilation"}
-    | {"versions", "config", "weights", "mjcf_probe", "validation", "files", "names", "programs"},
+    | {"versions", "config", "weights", "mjcf_probe", "validation", "files", "names", "programs"}
+    | {"native"},
     {"spline"},
     {"minsnap", "vehicle", "world"},
     {"prediction", "search", "knots", "policy", "arrival", "selection", "tracking", "feasibility"} | {"optimizer"},
@@ -71,7 +72,7 @@ OWNERS = {
     "flax": ("jaxplan/policy/", "jaxplan/feasibility/", "jaxplan/training/"),
     "optax": ("jaxplan/training/",),
     "sklearn": ("jaxplan/prediction/gmm.py",),
-    "numba": ("jaxplan/search/",),
+    "numba": ("jaxplan/native.py", "jaxplan/search/"),
     "cyclopts": ("jaxplan/cli/", "experiments/"),
     "matplotlib": ("jaxplan/viz/", "experiments/figures/", "benchmarks/_figure.py", "tools/replan_pictures.py"),
     "viser": ("jaxplan/viz/",),
