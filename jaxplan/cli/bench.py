@@ -12,6 +12,7 @@ Benchmark = Literal[
     "policy",
     "prediction",
     "runtime",
+    "safety",
     "search",
     "time-allocation",
 ]
