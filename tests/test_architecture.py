@@ -8,7 +8,7 @@ import pytest
 from sources import Import, code, offenders
 
 LAYERS = [
-    {"arrays"},
+    {"arrays", "blas"},
     {"records", "status", "errors", "numerics", "polynomials", "precision", "batching", "compilation"}
     | {"versions", "config", "weights", "mjcf_probe", "validation", "files", "names", "programs"},
     {"spline"},
@@ -72,6 +72,7 @@ OWNERS = {
     "optax": ("jaxplan/training/",),
     "sklearn": ("jaxplan/prediction/gmm.py",),
     "numba": ("jaxplan/search/",),
+    "threadpoolctl": ("jaxplan/blas.py",),
     "cyclopts": ("jaxplan/cli/", "experiments/"),
     "matplotlib": ("jaxplan/viz/", "experiments/figures/", "benchmarks/_figure.py", "tools/replan_pictures.py"),
     "viser": ("jaxplan/viz/",),
