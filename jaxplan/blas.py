@@ -1,8 +1,8 @@
 """NumPy's linear algebra of many small matrices, on one thread.
 
-OpenBLAS splits a product or a decomposition over all cores from some tens of rows on, and its threads wait for each other
-by spinning. For a batch of small matrices that is waste at best; where the cores have something else to do, such as a
-planner that flies or a compiler, it takes a hundred times as long (docs/decisions/0039-start.md).
+OpenBLAS splits a product or a decomposition over all cores from some tens of rows on, and its threads wait for each
+other by spinning. For a batch of small matrices that is waste at best; where the cores have something else to do, such
+as a planner that flies or a compiler, it takes a hundred times as long (docs/decisions/0039-start.md).
 """
 
 import functools
@@ -17,7 +17,7 @@ R = TypeVar("R")
 
 
 def on_one_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """``function`` (host) with one thread of each BLAS library while it runs; the others' number comes back after it."""
+    """``function`` (host) with one thread of each BLAS library while it runs, and as many as before after it."""
 
     @functools.wraps(function)
     def limited(*args: P.args, **kwargs: P.kwargs) -> R:

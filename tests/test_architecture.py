@@ -10,7 +10,8 @@ from sources import Import, code, offenders
 LAYERS = [
     {"arrays", "blas"},
     {"records", "status", "errors", "numerics", "polynomials", "precision", "batching", "compilation"}
-    | {"versions", "config", "weights", "mjcf_probe", "validation", "files", "names", "programs"},
+    | {"versions", "config", "weights", "mjcf_probe", "validation", "files", "names", "programs"}
+    | {"closure", "kept"},
     {"spline"},
     {"minsnap", "vehicle", "world"},
     {"prediction", "search", "knots", "policy", "arrival", "selection", "tracking", "feasibility"} | {"optimizer"},
@@ -26,6 +27,10 @@ SIBLINGS = {
     ("programs", "errors"),
     ("programs", "files"),
     ("programs", "versions"),
+    ("kept", "closure"),
+    ("kept", "programs"),
+    ("kept", "versions"),
+    ("precision", "kept"),
     ("weights", "names"),
     ("config", "errors"),
     ("config", "validation"),
