@@ -29,7 +29,7 @@ def cache(action: Literal["on", "off", "clear", "status"] = "status", *, debug: 
 
 
 def use_cache() -> None:
-    """Use the programs that are kept, unless the user does not want that; says so where something is wrong with them."""
+    """Use the programs that are kept, unless a user does not want that; says what is wrong with them, if anything."""
     from jaxplan import programs
 
     complaint = programs.use()
