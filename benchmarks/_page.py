@@ -59,8 +59,8 @@ def _to_beat(rows: Mapping[str, _ratios.Rows]) -> str:
     return f"""## The figure to beat
 
 Times for 400 sequences of 14 waypoints by C++, measured elsewhere on two quiet cores: **{MINCO:g} ms** with MINCO and
-L-BFGS (GCOPTER's parts), **{NATIVE:g} ms** with a block-tridiagonal solver and L-BFGS. Both weigh time against snap, from
-rest to rest; neither knows limits, starts in flight or arrival times. Here, in this run:
+L-BFGS (GCOPTER's parts), **{NATIVE:g} ms** with a block-tridiagonal solver and L-BFGS. Both weigh time against snap,
+from rest to rest; neither knows limits, starts in flight or arrival times. Here, in this run:
 
 - policy and arrival in a replan of 400: {inside.ours:.3g} ms in the median. Not all 400 are matched, but rounds of the
   best until one passes, with arrival times, from flight.
