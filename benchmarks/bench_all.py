@@ -104,18 +104,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise InputError("bench all: a page is written from what is kept; give --json as well")
     earlier = read(chosen.against) if chosen.against else None
     before = read(chosen.json) if chosen.json and chosen.json.is_file() else None
-    benchmarks: dict[str, Any] = {}
+    run: dict[str, Any] = {
+        "machine": _harness.machine(),
+        "benchmarks": {},
+        "history": [] if before is None else remembered(before),
+    }
     for name in chosen.only or (earlier["benchmarks"] if earlier else SIZES):
         print(f"== {name}", flush=True)
-        benchmarks[name] = run_one(name, SIZES[name])
-        _harness.show(benchmarks[name]["rows"])
-    history = [] if before is None else remembered(before)
-    run = {"machine": _harness.machine(), "benchmarks": benchmarks, "history": history}
-    if chosen.json:
-        chosen.json.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(chosen.json, json.dumps(run, indent=1) + "\n")
-        write_atomically(chosen.page or chosen.json.with_suffix(".md"), _page.page(run))
+        run["benchmarks"][name] = run_one(name, SIZES[name])
+        _harness.show(run["benchmarks"][name]["rows"])
+        if chosen.json:
+            _keep(run, chosen.json, chosen.page or chosen.json.with_suffix(".md"))
     return _judge(run, earlier, chosen.only)
+
+
+def _keep(run: Mapping[str, Any], path: Path, page: Path) -> None:
+    """Write what there is so far: whoever stops it keeps that."""
+    for place, content in ((path, json.dumps(run, indent=1) + "\n"), (page, _page.page(run))):
+        place.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(place, content)
 
 
 def _judge(run: Mapping[str, Any], earlier: Mapping[str, Any] | None, only: Sequence[str] | None) -> int:
