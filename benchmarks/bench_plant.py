@@ -20,7 +20,8 @@ from mujoco import rollout
 
 from jaxplan.minsnap.single import minimum_snap
 from jaxplan.precision import float32_island
-from jaxplan.tracking.model import PHYSICS_RATE, Motion, complete_body, vehicle_body, vehicle_mjcf
+from jaxplan.tracking.model import Motion, complete_body, vehicle_body, vehicle_mjcf
+from jaxplan.tracking.rates import PHYSICS_RATE
 from jaxplan.tracking.track import TrackConfig, track
 from jaxplan.vehicle.load import load_vehicle
 

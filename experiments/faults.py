@@ -7,28 +7,31 @@ Table I's episodes are flown with one fault each: sensors (late by 0.3 s, half o
 clock that goes back), the vehicle (a gust of 10 m/s, moved by 0.35 m, a rotor at 75 %), the room (a box on the
 committed path, beyond a stop). The vehicle is measured in every cycle, and lost 1 m or a right angle about body z off
 its reference. An episode hits something where its plant comes closer than its radius to an obstacle, or to a box from
-when it appears, which is ``avoidable`` if a stop was clear from where the vehicle was when a plan could first take
-over after the event; ``reference_hits`` counts commanded positions that come closer.
+when it appears, which is ``avoidable`` if one of the stops that were clear from where the vehicle was when a plan could
+first take over after the event, flown from there in the same plant with the same fault, keeps clear;
+``reference_hits`` counts commanded positions that come closer.
 """
 
 import dataclasses
 from pathlib import Path
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxplan import interception
 from jaxplan.errors import InputError
 from jaxplan.interception import Episode
-from jaxplan.planner import HITS, Planner
+from jaxplan.interception.judging import measured_state
+from jaxplan.planner import HITS, Planner, sampled
 from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
 from jaxplan.runner.statistics import wilson
 from jaxplan.runner.tables import as_latex, as_markdown, number
 from jaxplan.scenario import Scenario
 from jaxplan.spline import FlatState
 from jaxplan.status import PlanStatus
+from jaxplan.tracking.rates import CONTROL_RATE
 from jaxplan.tracking.result import Thresholds
-from jaxplan.tracking.rollout import CONTROL_RATE
 from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.load import ENVIRONMENTS
 
@@ -38,6 +41,8 @@ from .injection import FAULTS, ROOM, Trouble, with_a_spare_box
 
 LOST = Thresholds(position=1.0, yaw=np.pi / 2.0)
 """A vehicle that is blown or pushed off its reference for a moment is not lost."""
+STOPPED = 3.0
+"""s; after which every stop is over, and what blew is over, too."""
 FINE = 0.01
 """s; between the commanded positions that are looked at."""
 
@@ -156,19 +161,27 @@ def _found(episode: Episode, trouble: Trouble) -> Row:
 
 
 def _is_avoidable(episode: Episode, trouble: Trouble, touching: Bool[np.ndarray, "n"]) -> bool:
-    """Whether there was a clear stop from where the vehicle was when a plan could first take over after the event."""
-    flight, event = episode.flight, min(trouble.appeared, trouble.event)
+    """Whether a stop that was clear when a plan could first take over after the event would have kept the vehicle so.
+
+    The stops are flown from the state that the vehicle was in then, in the same plant with the same fault.
+    """
+    scenario, event = episode.scenario, min(trouble.appeared, trouble.event)
     after = [cycle.time for cycle in episode.cycles if cycle.time >= event]
-    first = (
-        int(np.searchsorted(flight.times, after[0] + episode.scenario.replanning.latency)) if after else len(touching)
-    )
-    if first >= len(touching) or touching[:first].any():
+    first = round((after[0] + scenario.replanning.latency) * CONTROL_RATE) if after else len(touching)
+    if first >= len(touching) or touching[:first].any() or first not in trouble.states:
         return False
-    velocity = flight.velocity[max(first - 5, 0) : first + 1]
-    acceleration = (velocity[-1] - velocity[0]) * CONTROL_RATE / max(len(velocity) - 1, 1)
-    derivatives = np.stack([flight.position[first], velocity[-1], acceleration, np.zeros(3), np.zeros(3)])
-    stops = trouble.planner.brake(FlatState(derivatives=derivatives, yaw=np.zeros(3)))
-    return bool((stops.reasons & np.uint32(HITS) == 0).any())
+    state = trouble.states[first]
+    measured = measured_state(state, scenario.vehicle)
+    derivatives = np.stack([measured.position, measured.velocity, measured.acceleration, np.zeros(3), np.zeros(3)])
+    yaw = trouble.reference(np.array([first / CONTROL_RATE])).yaw[0]
+    stops = trouble.planner.brake(FlatState(derivatives=derivatives, yaw=yaw))
+    references = sampled(stops.splines, np.arange(round(STOPPED * CONTROL_RATE) + 1) / CONTROL_RATE)
+    room = trouble.world or scenario.world
+    for index in np.flatnonzero(stops.reasons & np.uint32(HITS) == 0):
+        log = trouble.flown_along(state, jax.tree.map(lambda rows, index=index: rows[index], references))
+        if (host_free_distance(room, np.asarray(log.pos, float), 1024) >= float(scenario.vehicle.radius)).all():
+            return True
+    return False
 
 
 def _free(trouble: Trouble, times: Float[np.ndarray, "n"], points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:

@@ -26,7 +26,8 @@ from jaxplan.scenario import Scenario
 from jaxplan.spline import FlatState, PiecewisePolynomial, hover
 from jaxplan.tracking.disturbance import Disturbance
 from jaxplan.tracking.plant import PlantState
-from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, Plant, build_plant
+from jaxplan.tracking.rates import CONTROL_RATE
+from jaxplan.tracking.rollout import FlightLog, Plant, build_plant
 from jaxplan.vehicle.load import load_vehicle
 
 from . import closed_loop, table1

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxplan.precision import in_float64
 from jaxplan.spline import FlatState, PiecewisePolynomial
-from jaxplan.tracking.rollout import CONTROL_RATE
+from jaxplan.tracking.rates import CONTROL_RATE
 from jaxplan.vehicle.flatness import FlatOutputs, against_drag, differential_flatness
 from jaxplan.vehicle.params import Vehicle
 

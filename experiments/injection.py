@@ -21,7 +21,8 @@ from jaxplan.scenario import Scenario
 from jaxplan.spline import FlatState
 from jaxplan.tracking.disturbance import Disturbance
 from jaxplan.tracking.plant import PlantState
-from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, Plant
+from jaxplan.tracking.rates import CONTROL_RATE
+from jaxplan.tracking.rollout import FlightLog, Plant
 from jaxplan.vehicle.reach import sideways_acceleration
 from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.obstacles import World
@@ -64,6 +65,9 @@ class Trouble:
         self._rng = np.random.default_rng(scenario.seed)
         self.event = scenario.departure + float(self._rng.uniform(*AFTER))
         """When a single event happens [s]."""
+        self._disturbance = self._blown_or_weak()
+        self.states: dict[int, PlantState] = {}
+        """Of the plant at the beginning of each period, by its control step."""
         self._seconds, self._busy_until = 0.0, -np.inf
         self._replanner = Replanner(
             scenario.planner, self._predict, scenario.start, ReplannerConfig(drop_late=True), self._clock
@@ -130,21 +134,32 @@ class Trouble:
         return cycle
 
     def disturbed(self) -> Scenario:
-        """What is flown: with another plant where the fault is the vehicle's."""
-        if self.fault not in VEHICLE:
-            return self._scenario
-        plant, direction = self._scenario.plant, self._rng.normal(size=3) * [1.0, 1.0, 0.2]
-        direction /= np.linalg.norm(direction)
+        """What is flown: with a plant that the fault troubles, where it is the vehicle's, and whose states are kept."""
+        return dataclasses.replace(self._scenario, plant=Plant(self._scenario.plant.reset, self._fly))
+
+    def flown_along(self, state: PlantState, references: FlatState) -> FlightLog:
+        """What would become of the vehicle from a state that it was in, in the same air and with the same rotors."""
+        return self._scenario.plant.fly(state, references, self._disturbance)[1]
+
+    def _fly(
+        self, state: PlantState, references: FlatState, calm: Disturbance | None = None
+    ) -> tuple[PlantState, FlightLog]:
         if self.fault == "push":
-            return dataclasses.replace(self._scenario, plant=Plant(plant.reset, self._pushed))
-        disturbance = Disturbance(gust=tuple(GUST * direction), gust_start=self.event, gust_duration=1.0)
+            state = self._pushed(state, len(references.yaw) - 1)
+        self.states[int(state.step)] = state
+        return self._scenario.plant.fly(state, references, self._disturbance)
+
+    def _blown_or_weak(self) -> Disturbance | None:
+        """What the air and the rotors do, of which the controller is not told."""
+        if self.fault not in VEHICLE:
+            return None
+        direction = self._rng.normal(size=3) * [1.0, 1.0, 0.2]
+        direction /= np.linalg.norm(direction)
+        if self.fault == "gust":
+            return Disturbance(gust=tuple(GUST * direction), gust_start=self.event, gust_duration=1.0)
         if self.fault == "thrust loss":
-            disturbance = Disturbance(thrust_loss=tuple(LACK * (np.arange(4) == self._rng.integers(4))))
-
-        def fly(state: PlantState, references: FlatState, calm: None = None) -> tuple[PlantState, FlightLog]:
-            return plant.fly(state, references, disturbance)
-
-        return dataclasses.replace(self._scenario, plant=Plant(plant.reset, fly))
+            return Disturbance(thrust_loss=tuple(LACK * (np.arange(4) == self._rng.integers(4))))
+        return None
 
     def _predict(self, observations: Observations, cycle: int) -> Candidates:
         """The scenario's prediction, which takes its time where the planner is slow."""
@@ -158,17 +173,15 @@ class Trouble:
         """Time passes where it is said to, so that an episode does not depend on the machine."""
         return self._seconds
 
-    def _pushed(
-        self, state: PlantState, references: FlatState, calm: Disturbance | None = None
-    ) -> tuple[PlantState, FlightLog]:
-        """Moved once, to where there is most room."""
+    def _pushed(self, state: PlantState, steps: int) -> PlantState:
+        """Moved once, to where there is most room, if the event falls into these control steps."""
         now = int(state.step) / CONTROL_RATE
-        if now <= self.event < now + (len(references.yaw) - 1) / CONTROL_RATE:
-            turns = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
-            there = np.asarray(state.pos, float) + PUSH * np.stack([np.cos(turns), np.sin(turns), 0.0 * turns], axis=1)
-            free = host_free_distance(self._scenario.world, there, 16)
-            state = replace(state, pos=np.asarray(there[np.argmax(free)], np.float32))
-        return self._scenario.plant.fly(state, references, calm)
+        if not now <= self.event < now + steps / CONTROL_RATE:
+            return state
+        turns = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+        there = np.asarray(state.pos, float) + PUSH * np.stack([np.cos(turns), np.sin(turns), 0.0 * turns], axis=1)
+        free = host_free_distance(self._scenario.world, there, 16)
+        return replace(state, pos=np.asarray(there[np.argmax(free)], np.float32))
 
     def _place_a_box(self, now: float) -> None:
         """On the committed path, beyond a stop along it and straight on; nowhere where it is too short for that."""

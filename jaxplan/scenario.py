@@ -28,8 +28,9 @@ from jaxplan.replanner import ReplannerConfig
 from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.search.start_place import reachable_place
 from jaxplan.spline import FlatState, hover
+from jaxplan.tracking.rates import CONTROL_RATE
 from jaxplan.tracking.result import SUCCESS, Thresholds
-from jaxplan.tracking.rollout import CONTROL_RATE, Plant, build_plant
+from jaxplan.tracking.rollout import Plant, build_plant
 from jaxplan.vehicle.identity import identify
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.params import Vehicle

@@ -11,7 +11,7 @@ LAYERS = [
     {"arrays", "blas"},
     {"records", "status", "errors", "numerics", "polynomials", "precision", "batching", "compilation"}
     | {"versions", "config", "weights", "mjcf_probe", "validation", "files", "names", "programs"}
-    | {"closure", "kept"},
+    | {"closure", "kept", "native"},
     {"spline"},
     {"minsnap", "vehicle", "world"},
     {"prediction", "search", "knots", "policy", "arrival", "selection", "tracking", "feasibility"} | {"optimizer"},
@@ -76,7 +76,7 @@ OWNERS = {
     "flax": ("jaxplan/policy/", "jaxplan/feasibility/", "jaxplan/training/"),
     "optax": ("jaxplan/training/",),
     "sklearn": ("jaxplan/prediction/gmm.py",),
-    "numba": ("jaxplan/search/",),
+    "numba": ("jaxplan/native.py", "jaxplan/search/"),
     "threadpoolctl": ("jaxplan/blas.py",),
     "cyclopts": ("jaxplan/cli/", "experiments/"),
     "matplotlib": ("jaxplan/viz/", "experiments/figures/", "benchmarks/_figure.py", "tools/replan_pictures.py"),

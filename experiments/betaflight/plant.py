@@ -23,9 +23,10 @@ from jaxplan.errors import InputError, ResourceError
 from jaxplan.precision import float32_island
 from jaxplan.spline import FlatState
 from jaxplan.tracking.disturbance import Disturbance
-from jaxplan.tracking.model import PHYSICS_RATE, vehicle_body
+from jaxplan.tracking.model import vehicle_body
 from jaxplan.tracking.plant import DT, Noise, PlantState, draw_noise, no_noise, physics_step, state_on_reference
-from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, Plant, log_row
+from jaxplan.tracking.rates import CONTROL_RATE, PHYSICS_RATE
+from jaxplan.tracking.rollout import FlightLog, Plant, log_row
 from jaxplan.vehicle.params import Vehicle, hover_speeds
 from jaxplan.vehicle.rotations import rotation_from_quat
 

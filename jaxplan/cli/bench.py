@@ -14,6 +14,7 @@ Benchmark = Literal[
     "policy",
     "prediction",
     "runtime",
+    "safety",
     "search",
     "start",
     "time-allocation",

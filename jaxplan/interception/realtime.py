@@ -15,7 +15,8 @@ from jaxplan.replanner import Measured
 from jaxplan.runtime import Runtime, RuntimeConfig, Setpoint, from_config
 from jaxplan.scenario import Scenario, build_scenario
 from jaxplan.spline import FlatState
-from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog
+from jaxplan.tracking.rates import CONTROL_RATE
+from jaxplan.tracking.rollout import FlightLog
 
 MOST_LATENCY = 0.3
 """Seconds up to which the time until a plan takes over follows what cycles take (arbitrary)."""

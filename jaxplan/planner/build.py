@@ -23,6 +23,7 @@ from jaxplan.planner.brake import brake, impact
 from jaxplan.planner.capture import capture_time, capture_times, prospect_of
 from jaxplan.planner.corrections import correct
 from jaxplan.planner.descent import compile_descent
+from jaxplan.planner.fallbacks import Stops
 from jaxplan.planner.parts import Parts, Placing
 from jaxplan.planner.records import (
     Approach,
@@ -42,7 +43,7 @@ from jaxplan.planner.records import (
 )
 from jaxplan.planner.refined import Refine, RefinementConfig, Seed
 from jaxplan.planner.refinement import refine
-from jaxplan.planner.rollouts import Flyer, Rollout, compile_rollouts, sampled
+from jaxplan.planner.rollouts import Rollout, build_flyer, sampled
 from jaxplan.planner.stations import LENGTHS, compile_stations
 from jaxplan.planner.table import (
     Rows,
@@ -72,6 +73,7 @@ from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
 from jaxplan.search.routes import warmup as warm_up_search
 from jaxplan.search.update import update_lattices
 from jaxplan.spline import FlatState, PiecewisePolynomial, hover
+from jaxplan.tracking.rates import CONTROL_RATE
 from jaxplan.vehicle.identity import require_same_vehicle
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.obstacles import World
@@ -121,7 +123,7 @@ def build_planner(
     stations = compile_stations(config, vehicle, policy, classifier)
     descend = None if config.refinement is None else compile_descent(config.refinement, vehicle)
     begin = None if config.refinement is None or placing is None else _compiled(placing, config.refinement, vehicle)
-    flyer = None if config.rollouts is None else compile_rollouts(config.rollouts, vehicle)
+    flyer = None if config.rollouts is None else build_flyer(config.rollouts, vehicle)
     room = _room(lattices, world)
     return _planner(Parts(config, stations, lattices, _on_device(world), room, vehicle, descend, begin, flyer))
 
@@ -277,34 +279,25 @@ def _warmup(parts: Parts, state: FlatState) -> None:
     approach(parts, state, candidates)
     stops = brake(parts, state)
     _validate(parts, stops.spline(0))
-    if parts.flyer is not None:
-        sampled(stops.splines, np.zeros(parts.flyer.config.steps + 1))
+    _fly_once(parts, stops)
     if parts.config.captures:
         _capture_once(parts, state, candidates)
     give_back_memory()
 
 
 def _compile_aside(parts: Parts, state: FlatState, candidates: Candidates) -> None:
-    """Compile what works on one chosen plan: the refinement, from a plan that stays where it is, and the model."""
+    """Compile what works on one chosen plan: the refinement, from a plan that stays where it is."""
     if parts.config.refinement is not None:
         still = PiecewisePolynomial(durations=np.ones(2), position=np.zeros((2, 10, 3)), yaw=np.zeros((2, 6)))
         refine(parts, hover(state.pos), candidates, Seed(still, 0.0, 1.0, np.asarray(state.pos), 1.0))
+
+
+def _fly_once(parts: Parts, stops: Stops) -> None:
+    """Compile what samples trajectories, and the model, where plans are flown in it."""
+    references = sampled(stops.splines, np.arange(CONTROL_RATE + 1) / CONTROL_RATE)
     if parts.flyer is not None:
-        _fly_once(parts, parts.flyer, state)
-
-
-def _fly_once(parts: Parts, flyer: Flyer, state: FlatState) -> None:
-    """Compile the model, from a hover with what is remembered of it and without, for one plan and for many."""
-    place = hover(state.pos)
-
-    def staying(*batch: int) -> FlatState:
-        return jax.tree.map(lambda rows: np.broadcast_to(rows, (*batch, *np.shape(rows))), place)
-
-    steps, resting = flyer.config.steps, np.zeros(3)
-    for rows in (1, steps + 1):
-        model = Rollout(flyer, parts.room, parts.radius, staying(rows), np.asarray(place.pos), resting)
-    for count in (1, 2):
-        model.along(staying(count, steps + 1))
+        flown = jax.tree.map(lambda rows: rows[0], references)
+        Rollout(parts.flyer, parts.room, parts.radius, flown, flown.pos[-1], flown.vel[-1]).along(references)
 
 
 def _capture_once(parts: Parts, state: FlatState, candidates: Candidates) -> None:

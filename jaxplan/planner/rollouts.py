@@ -7,40 +7,33 @@ plan (docs/decisions/0036).
 """
 
 import dataclasses
-import functools
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxplan.arrays import AnyArray
-from jaxplan.batching import fill
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.planner.validator import Room
-from jaxplan.precision import float32_island
-from jaxplan.records import record, replace
-from jaxplan.spline import FlatState
-from jaxplan.tracking.plant import PlantState
-from jaxplan.tracking.references import padded, references_at
-from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, build_plant
+from jaxplan.records import record
+from jaxplan.spline import FlatState, PiecewisePolynomial
+from jaxplan.tracking.kernels.craft import Craft, craft_of
+from jaxplan.tracking.kernels.flight import fly, on_reference
+from jaxplan.tracking.kernels.sampling import references
+from jaxplan.tracking.kernels.step import POS, QUAT, VEL
+from jaxplan.tracking.rates import CONTROL_RATE
 from jaxplan.validation import require_at_least, require_positive
-from jaxplan.vehicle.fingerprint import fingerprint
 from jaxplan.vehicle.params import Vehicle
-from jaxplan.vehicle.rotations import rotation_from_quat
-from jaxplan.vehicle.vectors import cross, dot, length
 
-MANY = 64
-"""Flights of a call where more than one plan is flown: as many as there are stops, and some more."""
 FOUND = (0.3, 1.0, 0.5)
 """m, m/s and rad; the model begins anew, on the reference, where what it came to is farther from what is measured: in
 position, in velocity, or in the direction of the thrust (docs/decisions/0036)."""
-_MOVING = ("quat_wxyz", "body_rates", "rotor_speeds")
 ARM = 0.3
 """m; see ``Rollouts.astray`` (arbitrary)."""
 LOOKED_AT = 2
 """Control steps from one flown position that is looked at to the next (1/100 s)."""
+NOWHERE = 1e6
+"""m; where a flight counts as that is not finite any more."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,108 +80,25 @@ class Rollouts:
         return self.error + ARM * self.twist
 
 
-@runtime_checkable
-class _Settle(Protocol):
-    def __call__(
-        self,
-        flown: FlatState,
-        position: Float[AnyArray, "3"],
-        velocity: Float[AnyArray, "3"],
-        acceleration: Float[AnyArray, "3"],
-    ) -> PlantState:
-        """The model after the references ``flown``, put where the vehicle is measured; acceleration NaN: unknown."""
-
-
-@runtime_checkable
-class _Fly(Protocol):
-    def __call__(self, state: PlantState, references: FlatState) -> FlightLog:
-        """Flights (k, n) along ``references`` (k, n + 1), all from the same state."""
-
-
 class Flyer(NamedTuple):
-    """The compiled model, without noise."""
+    """The model, without noise and in still air."""
 
-    settle: _Settle
-    fly: _Fly
+    craft: Craft
     config: RolloutConfig
 
 
-def compile_rollouts(config: RolloutConfig, vehicle: Vehicle) -> Flyer:
-    """The vehicle's model with its controller in still air (host); compiled when it is called first."""
-    settle, fly = _programs(_Numbers(fingerprint(vehicle), vehicle))
-    return Flyer(settle, fly, config)
+def build_flyer(config: RolloutConfig, vehicle: Vehicle) -> Flyer:
+    """The vehicle's model with its controller (host); compiled when it flies first, once for all vehicles."""
+    return Flyer(craft_of(vehicle), config)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Numbers:
-    """A vehicle compared by its numbers, so that planners for the same one share what is compiled."""
-
-    fingerprint: str
-    vehicle: Vehicle = dataclasses.field(compare=False)
-
-
-@functools.lru_cache(maxsize=8)
-def _programs(numbers: _Numbers) -> tuple[_Settle, _Fly]:
-    """Of one vehicle."""
-    plant = build_plant(numbers.vehicle, noise=False)
-
-    own = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), numbers.vehicle)
-
-    def settle(
-        flown: FlatState,
-        position: Float[AnyArray, "3"],
-        velocity: Float[AnyArray, "3"],
-        acceleration: Float[AnyArray, "3"],
-    ) -> PlantState:
-        drag = own.drag_coefficient / own.mass * length(velocity) * velocity
-        thrust = acceleration + drag + own.gravity * jnp.array([0.0, 0.0, 1.0], acceleration.dtype)
-        up = thrust / length(thrust)
-        first, now = (jax.tree.map(lambda rows, row=row: rows[row], flown) for row in (0, -1))
-        key = jax.random.key(0)
-        state = fresh = plant.reset(now, key)
-        if len(flown.yaw) > 1:
-            state, _ = plant.fly(plant.reset(first, key), flown)
-            here = jnp.stack([length(state.pos - position), length(state.vel - velocity), _apart(state.quat_wxyz, up)])
-            found = jnp.all(~(here > jnp.array(FOUND, here.dtype)))
-            state = replace(
-                state, **{name: jnp.where(found, getattr(state, name), getattr(fresh, name)) for name in _MOVING}
-            )
-            state = replace(
-                state, signals=jax.tree.map(lambda *both: jnp.where(found, *both), state.signals, fresh.signals)
-            )
-        attitude = _tilted(state.quat_wxyz, up)
-        known = jnp.isfinite(attitude).all()
-        return replace(state, pos=position, vel=velocity, quat_wxyz=jnp.where(known, attitude, state.quat_wxyz))
-
-    def fly(state: PlantState, references: FlatState) -> FlightLog:
-        return jax.vmap(lambda rows: plant.fly(state, rows)[1])(references)
-
-    return float32_island(settle), float32_island(fly)
-
-
-def _apart(quat_wxyz: Float[AnyArray, "4"], up: Float[AnyArray, "3"]) -> Float[AnyArray, ""]:
-    """Angle [rad] between body z and ``up`` (unit, world)."""
-    return jnp.arccos(jnp.clip(dot(rotation_from_quat(quat_wxyz)[:, 2], up), -1.0, 1.0))
-
-
-def _tilted(quat_wxyz: Float[AnyArray, "4"], up: Float[AnyArray, "3"]) -> Float[AnyArray, "4"]:
-    """The attitude turned the shortest way to where body z is ``up`` (unit, world); NaN where that is opposite."""
-    before = rotation_from_quat(quat_wxyz)[:, 2]
-    w, v = 1.0 + dot(before, up), cross(before, up)
-    size = jnp.sqrt(w * w + dot(v, v))
-    (a, b), (c, d) = (w / size, jnp.stack(v) / size), (quat_wxyz[0], quat_wxyz[1:])
-    return jnp.concatenate([(a * c - dot(b, d))[None], a * d + c * b + jnp.stack(cross(b, d))])
-
-
-def sampled(splines: SplineBatch, times: Float[np.ndarray, "n"]) -> FlatState:
+def sampled(splines: SplineBatch | PiecewisePolynomial, times: Float[np.ndarray, "n"]) -> FlatState:
     """References (k, n) along splines at ``times`` [s of their own]; the first of them before, at rest behind."""
-    count, times = splines.durations.shape[-1], np.maximum(times, 0.0)
-    parts = []
-    for at in range(0, count, MANY):
-        some = np.arange(at, min(at + MANY, count))
-        states = references_at(padded(splines, fill(some, MANY)), times)
-        parts.append(jax.tree.map(np.asarray, states))
-    return jax.tree.map(lambda *rows: np.concatenate(rows)[:count], *parts)
+    if isinstance(splines, PiecewisePolynomial):
+        durations, position, yaw = (np.asarray(leaf)[None] for leaf in jax.tree.leaves(splines))
+        return references(durations, position, yaw, times)
+    durations, position, yaw = (np.moveaxis(np.asarray(leaf), -1, 0) for leaf in jax.tree.leaves(splines))
+    return references(durations, position, yaw[:, :, :, 0], times)
 
 
 class Rollout:
@@ -209,9 +119,12 @@ class Rollout:
         The ``acceleration`` [m/s^2], where it is known, tells where the thrust points.
         """
         self._flyer, self._room, self._radius = flyer, room, radius
-        self._state = flyer.settle(
-            flown, position, velocity, np.full(3, np.nan) if acceleration is None else acceleration
-        )
+        up = None if acceleration is None else _thrust_direction(flyer.craft, velocity, acceleration)
+        state = _come_there(flyer.craft, flown, position, velocity, up)
+        state[POS : POS + 3], state[VEL : VEL + 3] = position, velocity
+        if up is not None:
+            state[QUAT : QUAT + 4] = _tilted(state[QUAT : QUAT + 4], up)
+        self._state = state
 
     @property
     def config(self) -> RolloutConfig:
@@ -219,36 +132,64 @@ class Rollout:
         return self._flyer.config
 
     def along(self, references: FlatState, since: int = 0) -> Rollouts:
-        """Fly ``references`` (k, steps + 1), whose first rows are those of now; compiles nothing.
+        """Fly ``references`` (k, steps + 1), whose first rows are those of now.
 
         Errors count after ``since`` control steps, when the plans take over: a plan need not go on where another led.
         """
-        count = len(references.yaw)
-        width = 1 if count == 1 else MANY
-        starts = range(0, count, width)
-        parts = [self._fly(references, np.arange(at, min(at + width, count)), width, since) for at in starts]
-        positions, error, twist = (np.concatenate(rows) for rows in zip(*parts, strict=True))
-        clearance = self._room.free_distance(positions.astype(float)).min(axis=1)
+        rows, yaw = np.asarray(references.derivatives), np.asarray(references.yaw)
+        flown = fly(self._flyer.craft, self._state, rows, yaw, since)
+        positions = np.where(np.isfinite(flown.position), flown.position, NOWHERE)[:, LOOKED_AT - 1 :: LOOKED_AT]
+        clearance = self._room.free_distance(positions).min(axis=1)
         config = self.config
-        followed = (error <= config.most_error) & (twist <= config.most_twist)
         return Rollouts(
             clearance=clearance,
-            error=error,
-            twist=twist,
+            error=flown.error,
+            twist=flown.twist,
             clear=clearance >= self._radius + config.margin,
-            followed=followed,
+            followed=(flown.error <= config.most_error) & (flown.twist <= config.most_twist),
         )
 
-    def _fly(
-        self, references: FlatState, some: np.ndarray, width: int, since: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Positions, and the largest errors, of some of them; what is not finite is infinitely far."""
-        rows = fill(some, width)
-        chosen = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32)[rows], references)
-        log = self._flyer.fly(self._state, chosen)
-        count = len(some)
-        position, error, twist = (np.asarray(rows)[:count] for rows in (log.pos, log.position_error, log.twist_error))
-        position = np.where(np.isfinite(position), position, 1e6)[:, LOOKED_AT - 1 :: LOOKED_AT]
-        counted = (values[:, min(since, values.shape[1] - 1) :] for values in (error, twist))
-        largest = (np.where(np.isfinite(values), values, np.inf).max(axis=1) for values in counted)
-        return (position, *largest)
+
+def _come_there(
+    craft: Craft,
+    flown: FlatState,
+    position: Float[np.ndarray, "3"],
+    velocity: Float[np.ndarray, "3"],
+    up: Float[np.ndarray, "3"] | None,
+) -> Float[np.ndarray, "s"]:
+    """The model after the references ``flown``; on the last of them where what it came to is not what is measured."""
+    rows, yaw = np.asarray(flown.derivatives), np.asarray(flown.yaw)
+    if len(yaw) > 1:
+        state = fly(craft, on_reference(craft, rows[0], yaw[0]), rows[None], yaw[None]).state[0]
+        off = np.linalg.norm(state[POS : POS + 3] - position), np.linalg.norm(state[VEL : VEL + 3] - velocity)
+        apart = 0.0 if up is None else np.arccos(np.clip(_body_z(state[QUAT : QUAT + 4]) @ up, -1.0, 1.0))
+        if np.isfinite(state).all() and (np.array([*off, apart]) <= FOUND).all():
+            return state
+    return on_reference(craft, rows[-1], yaw[-1])
+
+
+def _thrust_direction(
+    craft: Craft, velocity: Float[np.ndarray, "3"], acceleration: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"] | None:
+    """Where the thrust of a vehicle points that moves so (unit, world); None in free fall."""
+    drag = craft.drag / craft.mass * np.linalg.norm(velocity) * velocity
+    thrust = acceleration + drag + [0.0, 0.0, craft.gravity]
+    size = np.linalg.norm(thrust)
+    return thrust / size if size > 0.0 else None
+
+
+def _body_z(quat_wxyz: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3"]:
+    """The body's z axis (unit, world)."""
+    w, x, y, z = quat_wxyz
+    return np.array([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)])
+
+
+def _tilted(quat_wxyz: Float[np.ndarray, "4"], up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4"]:
+    """The attitude turned the shortest way to where body z is ``up`` (unit, world); as it is where that is opposite."""
+    before = _body_z(quat_wxyz)
+    turn = np.array([1.0 + before @ up, *np.cross(before, up)])
+    size = np.linalg.norm(turn)
+    if size == 0.0:
+        return quat_wxyz
+    (a, *b), (c, *d) = turn / size, quat_wxyz
+    return np.array([a * c - np.dot(b, d), *(a * np.array(d) + c * np.array(b) + np.cross(b, d))])

@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxplan.spline import FlatState, PiecewisePolynomial
+from jaxplan.tracking.rates import CONTROL_RATE
 from jaxplan.tracking.result import SUCCESS
-from jaxplan.tracking.rollout import CONTROL_RATE, Plant
+from jaxplan.tracking.rollout import Plant
 
 BLOCK = 20
 """Control steps of one call of the plant: 0.1 s, as in an episode, so that both share the compiled program."""

@@ -8,7 +8,7 @@ from jaxplan.planner import Planner, Rollout, Rollouts, sampled
 from jaxplan.replanner.committed import CommittedPlans
 from jaxplan.replanner.records import Measured
 from jaxplan.spline import FlatState, PiecewisePolynomial
-from jaxplan.tracking.rollout import CONTROL_RATE
+from jaxplan.tracking.rates import CONTROL_RATE
 
 COMMITTED_TWIST = 1.5
 """How much more the model may be turned about body z, where a plan is committed already (arbitrary)."""
@@ -29,13 +29,8 @@ class Ahead:
         """Largest turn [rad] about body z with which a committed plan is kept."""
         return COMMITTED_TWIST * self._model.config.most_twist
 
-    def along(self, spline: PiecewisePolynomial, takeover: float) -> Rollouts:
-        """One plan that takes over at ``takeover`` [s]."""
-        states = spline.state(np.maximum(self._times - takeover, 0.0))
-        return self._fly(jax.tree.map(lambda rows: np.asarray(rows)[None], states), takeover)
-
-    def along_all(self, splines: SplineBatch, takeover: float) -> Rollouts:
-        """As ``along``, of many."""
+    def along(self, splines: SplineBatch | PiecewisePolynomial, takeover: float) -> Rollouts:
+        """One plan or many, which take over at ``takeover`` [s]."""
         return self._fly(sampled(splines, self._times - takeover), takeover)
 
     def _fly(self, plans: FlatState, takeover: float) -> Rollouts:

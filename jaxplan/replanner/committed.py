@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxplan.errors import InputError
+from jaxplan.planner import sampled
 from jaxplan.replanner.records import CommittedPlan
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import PlanStatus
@@ -43,8 +44,8 @@ class CommittedPlans:
         derivatives, yaw = np.empty((len(times), 5, 3)), np.empty((len(times), 3))
         for index in np.unique(active):
             plan, mine = self.plans[index], active == index
-            state = plan.spline.state(times[mine] - plan.start_time)
-            derivatives[mine], yaw[mine] = state.derivatives, state.yaw
+            states = sampled(plan.spline, times[mine] - plan.start_time)
+            derivatives[mine], yaw[mine] = states.derivatives[0], states.yaw[0]
         return FlatState(derivatives=derivatives, yaw=yaw)
 
     def at(self, time: float) -> FlatState:

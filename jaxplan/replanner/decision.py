@@ -111,7 +111,7 @@ class Decision:
         """What ``select_stop`` takes; where none is clear, only if the committed plan hits harder, or goes nearer."""
         start, committed, ahead = self._known.start, self._known.committed, self._known.ahead
         stops = self._planner.brake(start.state, committed.spline, self._known.since)
-        flown = None if ahead is None else ahead.along_all(stops.splines, start.takeover)
+        flown = None if ahead is None else ahead.along(stops.splines, start.takeover)
         best = select_stop(stops, flown)
         clear = best >= 0 and not stops.reasons[best] & np.uint32(HITS)
         if clear and (flown is None or flown.clear[best]):

@@ -24,16 +24,13 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxplan.arrays import AnyArray, Scalar
+from jaxplan.tracking.rates import PHYSICS_RATE
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.rotations import rotation_from_quat
 
 # mjx 3.17 prints two lines when its optional Warp back end is absent; the standard output belongs to the caller.
 with contextlib.redirect_stdout(io.StringIO()):
     from mujoco import mjx
-
-PHYSICS_RATE = 400
-"""Physics steps per second, as in the MFRL evaluation."""
-
 
 Integrator = Literal["Euler", "RK4"]
 """Semi-implicit Euler, first order, is what flights use; RK4 costs 4 times as much (docs/decisions/0008-plant.md)."""

@@ -22,7 +22,8 @@ from jaxplan.records import record
 from jaxplan.spline import FlatState
 from jaxplan.tracking.disturbance import Disturbance, air_velocity
 from jaxplan.tracking.filters import FilterState, filter_step
-from jaxplan.tracking.model import PHYSICS_RATE, Body, Motion
+from jaxplan.tracking.model import Body, Motion
+from jaxplan.tracking.rates import PHYSICS_RATE
 from jaxplan.tracking.sensing import Sensed
 from jaxplan.vehicle.flatness import against_drag, differential_flatness
 from jaxplan.vehicle.mixing import allocation_matrix

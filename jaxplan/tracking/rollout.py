@@ -20,7 +20,7 @@ from jaxplan.records import record, replace
 from jaxplan.spline import FlatState
 from jaxplan.tracking.disturbance import Disturbance
 from jaxplan.tracking.indi import indi
-from jaxplan.tracking.model import PHYSICS_RATE, vehicle_body
+from jaxplan.tracking.model import vehicle_body
 from jaxplan.tracking.plant import (
     Noise,
     PlantState,
@@ -30,15 +30,13 @@ from jaxplan.tracking.plant import (
     sense,
     state_on_reference,
 )
+from jaxplan.tracking.rates import CONTROL_RATE, PHYSICS_RATE
 from jaxplan.tracking.se3 import se3
 from jaxplan.tracking.sensing import Controller
 from jaxplan.vehicle.flatness import against_drag, demand_of
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.rotations import rotation_from_quat
 from jaxplan.vehicle.vectors import dot
-
-CONTROL_RATE = 200
-"""Control steps per second, as in the MFRL evaluation."""
 
 ControllerName = Literal["indi", "se3"]
 CONTROLLERS: dict[str, Controller] = {"indi": indi, "se3": se3}

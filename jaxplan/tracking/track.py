@@ -26,9 +26,10 @@ from jaxplan.precision import float32_island
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.tracking.disturbance import SHAPES, Disturbance
 from jaxplan.tracking.plant import PlantState
+from jaxplan.tracking.rates import CONTROL_RATE
 from jaxplan.tracking.references import Splines, as_sequence, duration_of_each, padded, references_at
 from jaxplan.tracking.result import TRAINING, Flaw, Thresholds, TrackingResult
-from jaxplan.tracking.rollout import CONTROL_RATE, ControllerName, FlightLog, build_plant
+from jaxplan.tracking.rollout import ControllerName, FlightLog, build_plant
 from jaxplan.vehicle.fingerprint import fingerprint
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.params import Vehicle

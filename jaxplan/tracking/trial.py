@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxplan.spline import FlatState
-from jaxplan.tracking.rollout import CONTROL_RATE, ControllerName, build_plant
+from jaxplan.tracking.rates import CONTROL_RATE
+from jaxplan.tracking.rollout import ControllerName, build_plant
 from jaxplan.vehicle.limits import most_thrust
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.reach import sideways_acceleration

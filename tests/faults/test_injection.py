@@ -14,6 +14,8 @@ from experiments.injection import Trouble
 from jaxplan import interception
 from jaxplan.prediction.stream import ObservationStream
 from jaxplan.status import PlanStatus
+from jaxplan.tracking.disturbance import Disturbance
+from jaxplan.tracking.rates import CONTROL_RATE
 from tolerances import tolerance
 
 EPISODE = EpisodeConfig(
@@ -88,6 +90,21 @@ def test_a_stalled_planner_does_nothing_until_it_is_done() -> None:
     assert gaps[late[:-1]].min() > base.replanning.latency
     assert gaps.max() <= injection.LONGEST + 0.1 + 1e-9
     assert max(cycle.jump[:4].max() for cycle in flown.cycles if cycle.jump is not None) < tolerance("solve")["atol"]
+
+
+def test_a_hit_is_avoidable_where_a_stop_flown_in_the_same_air_stays_clear() -> None:
+    """In calm air one does; in a storm that blows the vehicle into a wall none does."""
+    base = dataclasses.replace(closed_loop.scenario_of(EPISODE), seed=3)
+    calm, storm = Trouble(base, "none"), Trouble(base, "none")
+    flown = interception.fly(calm.disturbed(), guide=calm, watch=calm.watch)
+    interception.fly(storm.disturbed(), guide=storm, watch=storm.watch)
+    storm._disturbance = Disturbance(wind=(40.0, 0.0, 0.0))
+    for trouble in (calm, storm):
+        trouble.event = base.departure + 0.2
+    later = np.arange(len(flown.flight.times)) > CONTROL_RATE * (base.departure + 0.6)
+    assert faults._is_avoidable(flown, calm, later)
+    assert not faults._is_avoidable(flown, storm, later)
+    assert not faults._is_avoidable(flown, calm, ~later), "nothing can be done about what happens before"
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ from jaxplan.replanner import Replanner
 from jaxplan.scenario import build_scenario
 from jaxplan.spline import hover
 from jaxplan.status import PlanStatus
-from jaxplan.tracking.rollout import CONTROL_RATE
+from jaxplan.tracking.rates import CONTROL_RATE
 from jaxplan.viz.replay import replay_of
 from oracles.metrics_schema import valid_metrics
 from tolerances import tolerance

@@ -100,7 +100,7 @@ def test_plans_are_flown_without_compiling_and_followed_from_where_the_vehicle_s
     beside = look_ahead(planner, replanner._committed, 1.0, on(replanner, 1.0, aside=0.4))
     assert beside.committed.error[0] == pytest.approx(0.4, abs=0.05)
     stops = planner.brake(replanner._committed.at(1.1), replanner.committed.spline, 1.1)
-    flown = ahead.along_all(stops.splines, 1.1)
+    flown = ahead.along(stops.splines, 1.1)
     for index in (0, len(stops.reasons) - 1):
         alone = ahead.along(stops.spline(index), 1.1)
         assert alone.error[0] == pytest.approx(flown.error[index], abs=0.02)

@@ -5,10 +5,10 @@ import pytest
 
 from jaxplan.errors import InputError
 from jaxplan.minsnap.spline_batch import SplineBatch
-from jaxplan.planner.rollouts import Rollout, RolloutConfig, compile_rollouts, sampled
+from jaxplan.planner.rollouts import Rollout, RolloutConfig, build_flyer, sampled
 from jaxplan.planner.validator import Room
 from jaxplan.spline import FlatState, PiecewisePolynomial
-from jaxplan.tracking.rollout import CONTROL_RATE
+from jaxplan.tracking.rates import CONTROL_RATE
 from jaxplan.vehicle.load import load_vehicle
 from tolerances import assert_close
 
@@ -20,7 +20,7 @@ LATER = np.arange(CONFIG.steps + 1) / CONTROL_RATE
 
 @pytest.fixture(scope="module")
 def flyer():
-    return compile_rollouts(CONFIG, VEHICLE)
+    return build_flyer(CONFIG, VEHICLE)
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,8 @@ import pytest
 from jaxplan.minsnap.single import minimum_snap
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.tracking.fidelity import build_labeller
-from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, build_plant
+from jaxplan.tracking.rates import CONTROL_RATE
+from jaxplan.tracking.rollout import FlightLog, build_plant
 from jaxplan.tracking.track import track
 from jaxplan.vehicle.limits import rotor_limit_margin
 from jaxplan.vehicle.load import load_vehicle

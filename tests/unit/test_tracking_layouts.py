@@ -6,7 +6,8 @@ import pytest
 
 from jaxplan.records import replace
 from jaxplan.spline import FlatState, hover
-from jaxplan.tracking.rollout import CONTROL_RATE, ControllerName, build_plant
+from jaxplan.tracking.rates import CONTROL_RATE
+from jaxplan.tracking.rollout import ControllerName, build_plant
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.params import hover_speeds
 from oracles import plant_references

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from jaxplan.spline import FlatState, hover
 from jaxplan.tracking.plant import PlantState
-from jaxplan.tracking.rollout import CONTROL_RATE, FlightLog, Plant, build_plant
+from jaxplan.tracking.rates import CONTROL_RATE
+from jaxplan.tracking.rollout import FlightLog, Plant, build_plant
 from jaxplan.vehicle.flatness import against_drag, differential_flatness
 from jaxplan.vehicle.load import load_vehicle
 from oracles import plant_references

@@ -11,7 +11,8 @@ from jaxplan.errors import FileError, InputError
 from jaxplan.records import replace
 from jaxplan.spline import FlatState
 from jaxplan.tracking.filters import FilterState
-from jaxplan.tracking.rollout import CONTROL_RATE, build_plant
+from jaxplan.tracking.rates import CONTROL_RATE
+from jaxplan.tracking.rollout import build_plant
 from jaxplan.tracking.se3 import se3
 from jaxplan.tracking.sensing import Sensed
 from jaxplan.vehicle import params

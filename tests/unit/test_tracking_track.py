@@ -12,9 +12,10 @@ from jaxplan.minsnap.single import minimum_snap
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.records import replace
 from jaxplan.spline import PiecewisePolynomial, hover
+from jaxplan.tracking.rates import CONTROL_RATE
 from jaxplan.tracking.references import duration_of_each, padded, references_at
 from jaxplan.tracking.result import SUCCESS, TRAINING, Flaw, Thresholds, TrackingResult
-from jaxplan.tracking.rollout import CONTROL_RATE, build_plant
+from jaxplan.tracking.rollout import build_plant
 from jaxplan.tracking.track import FLIGHTS_AT_ONCE, TrackConfig, track
 from jaxplan.vehicle.load import load_vehicle
 from tolerances import tolerance

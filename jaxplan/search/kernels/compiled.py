@@ -1,29 +1,12 @@
-"""How the search is compiled by numba, and the key that keeps numba's cache on disk honest.
+"""How the search is compiled; its entry points are compiled anew whenever a file of this folder has changed."""
 
-Numba keeps a compiled entry point until the time stamp or the size of the file that holds it changes; what it calls in
-other files does not count, and files from a wheel all carry one constant time stamp. An entry point that reads
-``source_digest`` from its closure is compiled anew whenever any file of the search has changed.
-"""
-
-import functools
-import hashlib
 from pathlib import Path
 
-import numba
+from jaxplan.native import digest_of, entry_point, inner
 
-inner = numba.njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False)
-"""Compiles functions that only other compiled functions call: without wrappers for Python and C, which took a third of
-the time of the first compilation, and without reference counts (``_nrt``), which took 7 %: they make and keep no
-arrays. Each is compiled once per set of argument types, and a constant such as 0 is a type of its own."""
-
-entry_point = numba.njit(cache=True, nogil=True, error_model="numpy")
-"""Compiles functions that Python calls, and keeps them on disk."""
+__all__ = ["entry_point", "inner", "source_digest"]
 
 
-@functools.cache
 def source_digest() -> str:
     """Hash of all source files of this folder."""
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
-    return digest.hexdigest()
+    return digest_of(Path(__file__).parent)

@@ -25,15 +25,16 @@ from jaxplan.files import (
     write_atomically,
 )
 from jaxplan.knots import resample
+from jaxplan.planner.validator import Room as Solid
 from jaxplan.policy.placing import SEGMENTS
 from jaxplan.precision import in_float64
 from jaxplan.records import replace
+from jaxplan.search.kernels.solids import solids_of
 from jaxplan.search.routes import find_routes
 from jaxplan.search.stops import stop_points
 from jaxplan.training.sequences import CORNERS, GOALS_PER_SEARCH, PADDING, Room, open_room
 from jaxplan.training.worlds import random_world
 from jaxplan.validation import require_at_least
-from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.obstacles import World
 
 ROOMS = 32
@@ -141,10 +142,11 @@ def _room(seed: int, index: int) -> tuple[int, Float[np.ndarray, "c 7 3"]]:
 def _courses(room: Room, rng: np.random.Generator) -> Float[np.ndarray, "c 7 3"] | None:
     """``IN_ROOM`` courses; None where the room is too full."""
     parts: list[Any] = []
+    solid = Solid(tuple(solids_of(room.world)), np.asarray(room.world.bounds, dtype=np.float64))
     for _ in range(4 * IN_ROOM // FROM_ONE):
-        lower, upper = np.asarray(room.world.bounds)
+        lower, upper = solid.bounds
         start = rng.uniform(lower + PADDING, upper - PADDING)
-        if host_free_distance(room.world, start[None])[0] < PADDING:
+        if solid.free_distance(start[None])[0] < PADDING:
             continue
         away = rng.normal(size=(GOALS_PER_SEARCH, 3)) * _LEVEL
         away *= rng.uniform(*FAR, (GOALS_PER_SEARCH, 1)) / np.linalg.norm(away, axis=1, keepdims=True)
