@@ -81,6 +81,8 @@ class _Program(NamedTuple):
 
 def _program(folder: Path, function: Callable, fixed: tuple, leaves: list[Any], tree: Any) -> _Program | None:
     """What an earlier process has traced, or else this one does now; None where it cannot be kept."""
+    if jax.device_count() > 1:  # where arrays lie would count, too
+        return None
     types = [jax.typeof(leaf) for leaf in leaves]
     of = [(aval.shape, str(aval.dtype), getattr(aval, "weak_type", False)) for aval in types]
     try:
