@@ -14,7 +14,7 @@ JAX_TESTS = $(wildcard tests/unit/test_minsnap_*.py tests/unit/test_spline*.py t
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-jax test-slow test-docs test-browser test-firmware check format bench docs examples release-check clean
+.PHONY: help demo test test-jax test-slow test-docs test-browser test-firmware check format bench bench-check docs examples release-check clean
 
 help:
 	@echo "make demo       install, fly one interception, draw it (under 5 minutes)"
@@ -25,7 +25,8 @@ help:
 	@echo "make test-browser  the page of a replay in Chromium"
 	@echo "make check      ruff and mypy"
 	@echo "make format     let ruff rewrite what it can"
-	@echo "make bench      the benchmarks, into benchmarks/results/"
+	@echo "make bench      every benchmark, into benchmarks/results/all.json and docs/performance.md"
+	@echo "make bench-check  whether one has become slower against its peer of the same run"
 	@echo "make docs       build the site into site/, with every link followed"
 	@echo "make test-docs  run the code of README.md and docs/"
 	@echo "make examples   run the examples anew and keep what they print; their notebooks, too"
@@ -84,9 +85,10 @@ format: $(VENV)/.installed-dev
 	$(BIN)/ruff format .
 
 bench: $(VENV)/.installed-dev
-	@for file in $(wildcard benchmarks/bench_*.py); do \
-	    echo "== $$file"; $(BIN)/python -m benchmarks.$$(basename $$file .py) || exit 1; \
-	done
+	$(BIN)/jaxplan bench all --json benchmarks/results/all.json --page docs/performance.md
+
+bench-check: $(VENV)/.installed-dev
+	$(BIN)/jaxplan bench all --against benchmarks/results/all.json
 
 docs: $(VENV)/.installed-docs
 	$(BIN)/python -m tools.site

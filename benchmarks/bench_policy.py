@@ -75,14 +75,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--json", type=Path, help="save the rows, with hardware, versions and commit")
     parser.add_argument("--policy", default="mfrl")
     parser.add_argument("--classifier", default="mfrl")
+    parser.add_argument("--candidates", type=int, nargs="+", default=[36, 400, 2048])
+    parser.add_argument("--waypoints", type=int, nargs="+", default=[7, 14])
     parser.add_argument("--repeats", type=int, default=50)
     chosen = parser.parse_args(arguments)
     rows: list[dict[str, Any]] = []
     with jax.enable_x64(True):
         policy, classifier, vehicle = load_policy(chosen.policy), load_classifier(chosen.classifier), load_vehicle()
         require_same_vehicle("classifier", classifier.vehicle, vehicle)
-        for lanes in (36, 400, 2048):
-            for waypoints in (7, 14):
+        for lanes in chosen.candidates:
+            for waypoints in chosen.waypoints:
                 rows += measure(policy, classifier, vehicle, lanes, waypoints, chosen.repeats)
     _harness.show(rows)
     if chosen.json:

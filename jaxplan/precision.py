@@ -15,6 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxplan.kept import kept
+
 P = ParamSpec("P")
 R = TypeVar("R")
 Ts = TypeVarTuple("Ts")
@@ -72,7 +74,7 @@ def float32_island(function: Callable[..., R]) -> Callable[..., R]:
     types. May be called under ``jit``, ``vmap`` and ``scan`` of a float64 program. Products of matrices keep full
     float32 precision on accelerators. MJX needs JAX's ordinary promotion rules, so these are set as well.
     """
-    compiled = jax.jit(function)
+    compiled = kept(function)
 
     @functools.wraps(function)
     def island(*args: Any) -> R:

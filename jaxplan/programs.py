@@ -1,4 +1,4 @@
-"""What XLA has compiled, kept on disk for the next start, where a user wants that (``jaxplan cache on``).
+"""What was traced and compiled, kept on disk for the next start; not where a user says ``jaxplan cache off``.
 
 JAX's persistent compilation cache does the work: the name of an entry is the hash of the whole program and of how it is
 compiled, so other code, another world or other weights never get a program that is not theirs. Around it:
@@ -7,6 +7,7 @@ compiled, so other code, another world or other weights never get a program that
   do what this one cannot;
 * every entry has its SHA-256 beside it, written when the process that compiled it ends. What has none, or another one,
   is removed before JAX can see it, and compiled anew;
+* what was traced is beside it, with its sum inside (``jaxplan.kept``);
 * XLA's warnings about tuning flags, pages of them at every start, are silenced where JAX is not yet imported.
 
 Nothing here imports JAX.
@@ -30,6 +31,7 @@ from jaxplan.versions import installed_versions
 KEPT = 512 * 2**20
 """Bytes of one folder's entries (arbitrary: some twenty configurations)."""
 _ENTRY, _SUM = "-cache", ".sha256"
+_TRACED = "-traced"
 _SETTINGS = {
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
@@ -44,8 +46,9 @@ class Status(NamedTuple):
     folder: Path
     """Of this machine and version."""
     programs: int
+    """That were compiled."""
     size: int
-    """Bytes."""
+    """Bytes, with what was traced."""
     others: int
     """Folders of other machines or versions, which are not used."""
 
@@ -54,11 +57,10 @@ def status() -> Status:
     """Whether programs are kept, and how many are; ``InputError`` where nothing may be kept at all."""
     root = _root()
     folder = root / folder_name()
-    entries = list(_entries(folder))
+    everything = [*_entries(folder), *_traced(folder)]
     others = [path for path in root.glob("*") if path.is_dir() and path != folder]
-    return Status(
-        _marker(root).is_file(), folder, len(entries), sum(path.stat().st_size for path in entries), len(others)
-    )
+    size = sum(path.stat().st_size for path in everything)
+    return Status(not _marker(root).is_file(), folder, len(list(_entries(folder))), size, len(others))
 
 
 def switch(on: bool) -> None:
@@ -66,10 +68,10 @@ def switch(on: bool) -> None:
     marker = _marker(_root())
     try:
         if on:
+            marker.unlink(missing_ok=True)
+        else:
             marker.parent.mkdir(parents=True, exist_ok=True)
             write_atomically(marker, "")
-        else:
-            marker.unlink(missing_ok=True)
     except OSError as error:
         raise cannot_write(marker, error) from error
 
@@ -85,7 +87,7 @@ def clear() -> None:
 
 
 def use() -> str | None:
-    """Load programs that are kept and keep new ones, in this process and its children, where that is switched on.
+    """Load programs that are kept and keep new ones, in this process and its children, unless that is switched off.
 
     To be called before JAX compiles anything; before JAX is imported, where XLA's warnings are to be silenced. Whoever
     has set JAX_COMPILATION_CACHE_DIR keeps that.
@@ -94,14 +96,17 @@ def use() -> str | None:
         One line about what was wrong with what is kept, if anything was; then it is not used.
     """
     root = cache_root()
-    if root is None or not _marker(root / "programs").is_file() or "JAX_COMPILATION_CACHE_DIR" in os.environ:
+    if root is None or _marker(root / "programs").is_file() or "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return None
     folder = root / "programs" / folder_name()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         removed = _remove_unsound(folder)
     except OSError as error:
-        return f"cache: {folder} cannot be used ({error.strerror}); everything is compiled"
+        return (
+            f"cache: {folder} cannot be used ({error.strerror}), everything is compiled; name another folder in "
+            f"{FOLDER_VARIABLE}, or leave it empty"
+        )
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
     os.environ.update({name: value for name, value in _SETTINGS.items() if name not in os.environ})
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
@@ -113,6 +118,27 @@ def use() -> str | None:
             jax.config.update(name.lower(), value if name.endswith("DIR") else int(value))
     atexit.register(seal, folder)
     return f"cache: {removed} damaged or unfinished entries removed from {folder}" if removed else None
+
+
+def folder_in_use() -> Path | None:
+    """Where this process keeps programs; None where it does not."""
+    root, used = cache_root(), os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    folder = None if root is None else root / "programs" / folder_name()
+    return folder if used is not None and used == str(folder) else None
+
+
+def read_traced(folder: Path, key: str) -> bytes | None:
+    """What was kept under this key; None where there is nothing whole."""
+    try:
+        return _without_sum((folder / f"{key}{_TRACED}").read_bytes())
+    except OSError:
+        return None
+
+
+def write_traced(folder: Path, key: str, content: bytes) -> None:
+    """Keep something under a key, as far as the disk allows."""
+    with contextlib.suppress(OSError):
+        write_atomically(folder / f"{key}{_TRACED}", hashlib.sha256(content).digest() + content)
 
 
 def seal(folder: Path) -> None:
@@ -127,7 +153,7 @@ def seal(folder: Path) -> None:
                     decompress_executable(content)
                     write_atomically(_sum_of(entry), hashlib.sha256(content).hexdigest())
         total = 0
-        for entry in sorted(_entries(folder), key=lambda path: -path.stat().st_mtime):
+        for entry in sorted([*_entries(folder), *_traced(folder)], key=lambda path: -path.stat().st_mtime):
             total += entry.stat().st_size
             if total > KEPT:
                 _remove(entry)
@@ -158,11 +184,15 @@ def _root() -> Path:
 
 
 def _marker(root: Path) -> Path:
-    return root / "on"
+    return root / "off"
 
 
 def _entries(folder: Path) -> Iterator[Path]:
     return folder.glob(f"*{_ENTRY}")
+
+
+def _traced(folder: Path) -> Iterator[Path]:
+    return folder.glob(f"*{_TRACED}")
 
 
 def _sum_of(entry: Path) -> Path:
@@ -183,4 +213,14 @@ def _remove_unsound(folder: Path) -> int:
         if not good:
             _remove(entry)
             removed += 1
+    for path in _traced(folder):
+        if _without_sum(path.read_bytes()) is None:
+            path.unlink(missing_ok=True)
+            removed += 1
     return removed
+
+
+def _without_sum(content: bytes) -> bytes | None:
+    """What follows its own SHA-256; None where it is not that."""
+    size = hashlib.sha256().digest_size
+    return content[size:] if hashlib.sha256(content[size:]).digest() == content[:size] else None

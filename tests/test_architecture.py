@@ -8,10 +8,10 @@ import pytest
 from sources import Import, code, offenders
 
 LAYERS = [
-    {"arrays"},
+    {"arrays", "blas"},
     {"records", "status", "errors", "numerics", "polynomials", "precision", "batching", "compilation"}
     | {"versions", "config", "weights", "mjcf_probe", "validation", "files", "names", "programs"}
-    | {"native"},
+    | {"closure", "kept", "native"},
     {"spline"},
     {"minsnap", "vehicle", "world"},
     {"prediction", "search", "knots", "policy", "arrival", "selection", "tracking", "feasibility"} | {"optimizer"},
@@ -27,6 +27,10 @@ SIBLINGS = {
     ("programs", "errors"),
     ("programs", "files"),
     ("programs", "versions"),
+    ("kept", "closure"),
+    ("kept", "programs"),
+    ("kept", "versions"),
+    ("precision", "kept"),
     ("weights", "names"),
     ("config", "errors"),
     ("config", "validation"),
@@ -73,6 +77,7 @@ OWNERS = {
     "optax": ("jaxplan/training/",),
     "sklearn": ("jaxplan/prediction/gmm.py",),
     "numba": ("jaxplan/native.py", "jaxplan/search/"),
+    "threadpoolctl": ("jaxplan/blas.py",),
     "cyclopts": ("jaxplan/cli/", "experiments/"),
     "matplotlib": ("jaxplan/viz/", "experiments/figures/", "benchmarks/_figure.py", "tools/replan_pictures.py"),
     "viser": ("jaxplan/viz/",),

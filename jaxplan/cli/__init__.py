@@ -41,7 +41,7 @@ Then:   jaxplan intercept --target env1-03 --speed 2.5 --predictor gmm
         jaxplan intercept --world room.stl --target flight.csv
         jaxplan vehicle racer5              what a vehicle can do; your own takes three lines
         jaxplan experiment --list           the paper's tables and figures
-Sooner: jaxplan cache on                    keep what is compiled; later starts take seconds
+Sooner: the first start compiles, later ones load what was compiled: jaxplan cache
 All:    jaxplan --help, jaxplan COMMAND --help"""
 
 

@@ -1,16 +1,16 @@
-"""``jaxplan cache``: whether what XLA has compiled is kept for the next start."""
+"""``jaxplan cache``: what was compiled and is kept for the next start."""
 
 import sys
 from typing import Literal
 
 
 def cache(action: Literal["on", "off", "clear", "status"] = "status", *, debug: bool = False) -> int:
-    """Keep what is compiled, so that later starts load it.
+    """What is compiled is kept, so that later starts load it.
 
     Parameters
     ----------
     action
-        on: keep it from now on; off: no longer; clear: remove what is kept; status: say what is.
+        off: keep it no longer; on: from now on; clear: remove what is kept; status: say what is.
     debug
         Show the traceback of an error.
     """
@@ -29,7 +29,7 @@ def cache(action: Literal["on", "off", "clear", "status"] = "status", *, debug: 
 
 
 def use_cache() -> None:
-    """Use the programs that are kept, where the user wants that; says so where something is wrong with them."""
+    """Use the programs that are kept, unless a user does not want that; says what is wrong with them, if anything."""
     from jaxplan import programs
 
     complaint = programs.use()

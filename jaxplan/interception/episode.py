@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxplan.compilation import compilations
+from jaxplan.compilation import compilations, give_back_memory
 from jaxplan.config import InterceptConfig
 from jaxplan.interception.judging import flight_rows, measured_state, until_decided
 from jaxplan.interception.records import FLYING, Episode, Flight, Follow, Guide, Progress, React, Watch, tell_nobody
@@ -38,6 +38,7 @@ def warm_up(scenario: Scenario) -> None:
         planning = pool.submit(scenario.planner.warmup, scenario.start)
         _warm_up_flight(scenario)
         planning.result()
+    give_back_memory()
 
 
 def _warm_up_flight(scenario: Scenario) -> None:

@@ -64,8 +64,9 @@ def brake(parts: Parts, state: FlatState, along: PiecewisePolynomial | None = No
     count, start = len(times), np.asarray(state.pos)[:, None]
     shares = np.linspace(0.0, 1.0, parts.config.knots.samples)[:, None, None]
     samples = start + shares * (waypoints[-1] - start)
+    meet = legs.astype(np.int32)  # as those of searched paths are: other types are another program
     routes = shortened(
-        Routes(waypoints, legs + 1, legs, samples, np.zeros(count, np.uint32), np.full((3, count), np.nan))
+        Routes(waypoints, meet + 1, meet, samples, np.zeros(count, np.uint32), np.full((3, count), np.nan))
     )
     segments = np.arange(len(routes.waypoints) - 1)[:, None]
     durations = np.where(segments < legs, times / legs, 0.0)

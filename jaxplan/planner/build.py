@@ -13,6 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from jaxplan.compilation import give_back_memory
 from jaxplan.errors import InputError
 from jaxplan.feasibility.classifier import Classifier
 from jaxplan.minsnap.spline_batch import SplineBatch
@@ -281,6 +282,7 @@ def _warmup(parts: Parts, state: FlatState) -> None:
     _fly_once(parts, stops)
     if parts.config.captures:
         _capture_once(parts, state, candidates)
+    give_back_memory()
 
 
 def _compile_aside(parts: Parts, state: FlatState, candidates: Candidates) -> None:

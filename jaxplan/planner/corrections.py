@@ -60,7 +60,7 @@ def correct(parts: Parts, state: FlatState, prospect: Prospect) -> Corrections:
     along = np.linspace(0.0, 1.0, parts.config.knots.samples)[:, None, None]
     samples = start[:, None] + along * (stops.T - start[:, None])
     none, free = np.zeros(count, np.uint32), np.full((3, count), np.nan)
-    routes = shortened(Routes(waypoints, np.full(count, 3), np.ones(count, np.int64), samples, none, free))
+    routes = shortened(Routes(waypoints, np.full(count, 3, np.int32), np.ones(count, np.int32), samples, none, free))
     durations = np.zeros((len(routes.waypoints) - 1, count))
     durations[0], durations[1] = times, rests
 

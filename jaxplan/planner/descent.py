@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxplan.kept import kept
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.optimizer.interior_point import Descent, DescentConfig, descend
 from jaxplan.optimizer.margins import linearise, values
@@ -73,7 +74,7 @@ def compile_descent(config: RefinementConfig, vehicle: Vehicle) -> Descend:
             place_samples=PLACE_SAMPLES,
         )
 
-    @jax.jit
+    @kept
     def optimised(
         world: World,
         state: FlatState,
@@ -86,7 +87,7 @@ def compile_descent(config: RefinementConfig, vehicle: Vehicle) -> Descend:
         start = variables[_best(task, variables, descent)][None]
         return descend(functools.partial(values, task), functools.partial(linearise, task), start, descent)
 
-    @jax.jit
+    @kept
     def flown(
         world: World, state: FlatState, target: TargetTable, limits: Limits, variables: Float[Array, "k v"]
     ) -> SplineBatch:

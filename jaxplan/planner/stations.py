@@ -8,7 +8,6 @@ import dataclasses
 import functools
 from typing import NamedTuple, Protocol, runtime_checkable
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt32
@@ -16,6 +15,7 @@ from jaxtyping import Array, Float, Int, UInt32
 from jaxplan.arrays import AnyArray, Scalar
 from jaxplan.arrival import Arrival, match_arrival, time_to
 from jaxplan.feasibility.classifier import Classifier
+from jaxplan.kept import kept
 from jaxplan.knots import MAX_WAYPOINTS, select_routes
 from jaxplan.minsnap.quadratic_program import Passage
 from jaxplan.minsnap.spline_batch import SplineBatch, fit
@@ -129,12 +129,12 @@ def compile_stations(
 ) -> Stations:
     """Bind configuration and constants, and compile."""
 
-    @jax.jit
+    @kept
     def reject(world: World, candidates: Candidates, state: FlatState) -> Candidates:
         farthest = reach(vehicle, safe_norm(jnp.asarray(state.vel)), jnp.asarray(candidates.arrival_times))
         return reject_early(candidates, world, jnp.asarray(state.pos), config.padding, farthest)
 
-    @jax.jit
+    @kept
     def route(paths: Float[Array, "k l 3"], stops: Float[Array, "k 3"]) -> Routes:
         routes = select_routes(paths, config.knots, stops=stops)
         return Routes(
@@ -161,7 +161,7 @@ def compile_stations(
 
     max_yaw_rate = 0.0 if config.heading == "hold" else config.max_yaw_rate
 
-    @jax.jit
+    @kept
     def solve(
         state: FlatState,
         routes: Routes,
@@ -183,9 +183,9 @@ def compile_stations(
         return Trajectories(splines, check_clearance(margins, splines, world, vehicle, checks))
 
     profile = speed_profile_policy(sideways_acceleration(vehicle))
-    by_policy, by_profile = (jax.jit(functools.partial(match, by)) for by in (policy, profile))
+    by_policy, by_profile = (kept(functools.partial(match, by)) for by in (policy, profile))
     fine = dataclasses.replace(config.checks, samples_per_segment=FINER * config.checks.samples_per_segment)
-    loosely, finely = (jax.jit(functools.partial(clear, checks=checks)) for checks in (config.checks, fine))
+    loosely, finely = (kept(functools.partial(clear, checks=checks)) for checks in (config.checks, fine))
     return Stations(reject, route, by_policy, by_profile, solve, loosely, finely)
 
 

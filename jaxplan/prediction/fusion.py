@@ -9,12 +9,15 @@ training set, a noisy or an evasive one, so goes over to the filter step by step
 The mixture is conditioned with the noise that the filter found in the positions.
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.special import ndtr
 
+from jaxplan.kept import kept
 from jaxplan.precision import in_float64
 from jaxplan.prediction.imm import log_foreseen, track
 from jaxplan.prediction.imm_flights import RANDOMS, Filters, believed_position, filter_flights, outside_of_things
@@ -107,7 +110,7 @@ def _log_odds(
     return float(np.clip(log_odds, -30.0, 30.0))
 
 
-@jax.jit(static_argnums=(0, 1))
+@functools.partial(kept, static=2)
 def _filtered(
     motion: MotionConfig,
     most: int,

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from jaxplan.blas import on_one_thread
 from jaxplan.errors import FileError, InputError
 from jaxplan.files import read_limited, write_atomically
 from jaxplan.prediction.mixture import ConditionalMixture, conditional_mixture
@@ -57,6 +58,7 @@ class TargetModel:
         """Coordinates that are observed."""
         return 3 * (self.observations - 1) + (0 if self.bounds is None else 3)
 
+    @on_one_thread
     def conditional(self, seen: int | None = None, noise: float = 0.0) -> ConditionalMixture:
         """The mixture made ready for conditioning on the newest ``seen`` positions of a window; None: on all.
 

@@ -39,8 +39,9 @@ def started(root: Path) -> tuple[str | None, str, int, str]:
 
 
 def test_programs_are_loaded_by_the_next_process(root: Path) -> None:
+    programs.switch(False)
     assert started(root)[2] == 0
-    assert not root.exists()
+    assert [path.name for path in root.iterdir()] == ["off"]
     programs.switch(True)
     said, value, hits, _ = started(root)
     assert (said, hits) == (None, 0)
@@ -109,6 +110,7 @@ def test_an_own_cache_of_jax_is_left_alone(root: Path, monkeypatch: pytest.Monke
 def test_a_folder_that_cannot_be_used_is_one_line(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
     programs.switch(True)
+    root.mkdir()
     (root / programs.folder_name()).write_text("in the way")
     said = programs.use()
     assert said is not None
@@ -136,10 +138,11 @@ def test_the_command(root: Path, capsys: pytest.CaptureFixture[str], monkeypatch
         assert cli.run(["cache", *arguments]) == 0
         return capsys.readouterr().out
 
-    assert said().startswith("off: 0 programs, 0.0 MB, in ")
+    assert said().startswith("on: 0 programs, 0.0 MB, in ")
+    assert said("off").startswith("off: 0 programs")
     assert said("on").startswith("on: 0 programs")
     folder = root / programs.folder_name()
-    folder.mkdir()
+    folder.mkdir(parents=True)
     (folder / "a-cache").write_bytes(bytes(2_000_000))
     (root / "elsewhere").mkdir()
     assert said("status").splitlines() == [
@@ -147,11 +150,11 @@ def test_the_command(root: Path, capsys: pytest.CaptureFixture[str], monkeypatch
         "1 folders of other machines or versions, which are not used: jaxplan cache clear",
     ]
     assert said("clear") == f"on: 0 programs, 0.0 MB, in {folder}\n"
-    assert [path.name for path in root.iterdir()] == ["on"]
+    assert list(root.iterdir()) == []
     assert said("off").startswith("off: ")
     monkeypatch.setenv("JAXPLAN_CACHE_DIR", "")
     assert cli.run(["cache", "on"]) == InputError.exit_code
     assert "JAXPLAN_CACHE_DIR is empty" in capsys.readouterr().err
     monkeypatch.setenv("JAXPLAN_CACHE_DIR", "/proc/jaxplan")
-    assert cli.run(["cache", "on"]) == ResourceError.exit_code
+    assert cli.run(["cache", "off"]) == ResourceError.exit_code
     assert capsys.readouterr().err.count("\n") == 1

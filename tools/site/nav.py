@@ -44,7 +44,7 @@ NAV: list[Any] = [
             {"Modules": ["api/*"]},
         ]
     },
-    {"Experiments": ["experiments.md", "arena.md", "results/*"]},
+    {"Experiments": ["experiments.md", "arena.md", "performance.md", "results/*"]},
     {
         "Project": [
             "limitations.md",
