@@ -45,7 +45,7 @@ class Config:
     """Who flies what."""
 
     families: tuple[str, ...] = tuple(name for name in FAMILIES if name != "recorded")
-    """Kinds of episodes: stored, entry, rooms, evasive, half-seen, recorded."""
+    """Kinds of episodes: stored, entry, rooms, evasive, half-seen, recorded, camera."""
 
     levels: tuple[int, ...] = LEVELS
     """Of difficulty: 1, 2, 3."""

@@ -1,6 +1,7 @@
 """The arena's episodes: families of targets, each on three levels of difficulty."""
 
 import contextlib
+import dataclasses
 import functools
 from pathlib import Path
 from typing import NamedTuple
@@ -42,6 +43,11 @@ SIGHTS = (
     SightConfig(noise=0.10, dropouts=0.2, latency=0.1, sight_range=20.0, occluded=True),
     SightConfig(noise=0.20, dropouts=0.4, latency=0.3, sight_range=12.0, occluded=True),
 )
+CAMERAS = tuple(
+    dataclasses.replace(SIGHTS[1], field_of_view=np.radians(angle), sight_range=far)
+    for angle, far in ((120.0, 20.0), (90.0, 15.0), (60.0, 10.0))
+)
+"""As the second of them, but with a camera that has to look there."""
 SEEN_SPEED = 2.5
 """m/s of targets that are half seen."""
 DEPARTURE, LATE = 0.5, (0.15, 0.45)
@@ -57,6 +63,7 @@ FAMILIES = {
     "evasive": "targets that flee, dodge or hide, at a quarter, half and nearly all of the defender's agility",
     "half-seen": "targets seen with noise of 1, 10 and 20 cm, gaps, latency, limited range, and what hides them",
     "recorded": "recorded flights at 0.5, 1 and 2 times their speed, entered late (--recordings)",
+    "camera": "targets half seen by a camera of 120, 90 and 60 degrees that turns to where they were last",
 }
 
 
@@ -125,10 +132,19 @@ def _evasive(level: int, number: int, seed: int, recordings: tuple[str, ...]) ->
 
 
 def _half_seen(level: int, number: int, seed: int, recordings: tuple[str, ...]) -> Case:
+    return _seen(SIGHTS[level], number, seed)
+
+
+def _camera(level: int, number: int, seed: int, recordings: tuple[str, ...]) -> Case:
+    return _seen(CAMERAS[level], number, seed)
+
+
+def _seen(config: SightConfig, number: int, seed: int) -> Case:
+    """A stored target, seen by a sensor of this kind."""
     world = _stored_world(number)
     target = load_target(_name(world, number), world=world.name, speed=SEEN_SPEED)
     start = np.asarray(world.start, dtype=float)
-    sight = Sight(world, SIGHTS[level], start, seed)
+    sight = Sight(world, config, start, seed)
     plain = _plain(world, target, 2.0 * DEPARTURE, start, seed)
     return plain._replace(watch=sight.watch, react=sight.look_from, sight=sight)
 
@@ -140,6 +156,7 @@ _MAKERS = {
     "evasive": _evasive,
     "half-seen": _half_seen,
     "recorded": _recorded,
+    "camera": _camera,
 }
 
 

@@ -110,6 +110,30 @@ def test_a_wall_hides_what_is_behind_it(wall: World) -> None:
     assert sight.seen == 2
 
 
+def test_a_camera_sees_where_it_looks_and_turns_no_faster_than_it_can(wall: World) -> None:
+    eye, rate = np.array([2.0, 2.0, 1.0]), 3.0
+    ahead, beside = eye + np.array([1.0, 0.0, 0.0]), eye + np.array([0.0, 1.0, 0.3])
+    sight = Sight(wall, SightConfig(field_of_view=np.radians(60.0), turn_rate=rate), eye, seed=0)
+    stream = ObservationStream()
+    sight.watch(stream, 0.0, ahead)
+    assert sight.seen == 1
+    places = [ahead + share * (beside - ahead) for share in np.linspace(0.0, 1.0, 6)]
+    for cycle, place in enumerate(places, start=1):  # slowly: it follows
+        before = sight.looks
+        sight.watch(stream, 0.1 * cycle, place)
+        assert np.arccos(np.clip(before @ sight.looks, -1.0, 1.0)) <= 0.1 * rate + 1e-6
+        assert np.linalg.norm(sight.looks) == pytest.approx(1.0, **relative("formula"))
+    assert sight.seen == 7
+    sight.watch(stream, 0.7, eye - np.array([0.0, 1.0, 0.0]))  # suddenly behind it: not seen
+    assert sight.seen == 7
+    unseen = 0
+    for cycle in range(8, 40):  # it looks round for it, once where it was is of no use any more
+        sight.watch(stream, 0.1 * cycle, eye - np.array([0.0, 1.0, 0.0]))
+        unseen += sight.seen == 7
+    assert 10 < unseen < 10 + 2.0 * np.pi / rate / 0.1
+    assert sight.seen > 8
+
+
 @pytest.mark.parametrize("speed", [4.0, 8.0])
 def test_long_flights_are_fast_clear_and_the_same_again(room: World, speed: float) -> None:
     target = long_flight(room, speed, seed=5)
@@ -242,7 +266,7 @@ def test_names_that_nobody_has_are_refused() -> None:
 def test_every_contestant_flies_every_episode_once() -> None:
     config = Config(episodes=2, contestants=("reference", "pursuit", "mfrl/gmm"))
     found = items(config)
-    assert len({item.name for item in found}) == len(found) == (2 * 5 - 1 + 5) * 3 * 2
+    assert len({item.name for item in found}) == len(found) == (2 * 6 - 1 + 6) * 3 * 2
     groups = [item.group for item in found]
     assert groups == sorted(groups, key=groups.index)
 
