@@ -39,6 +39,8 @@ RANDOMS = 19
 _COSINES = 3
 _GRID = 40
 """Intervals in which the noise of a flight is summed up."""
+_LARGEST_EXPONENT = 600.0
+"""Keeps a sum finite where a flight is predicted for more than a minute; it errs by millimetres there."""
 _LARGEST = 1.5
 """Times ``max_acceleration`` that a particle accelerates at most."""
 _START_CLEARANCE = 0.05
@@ -170,7 +172,8 @@ def _noise_response(
     begun = jnp.where((lag > 0.0)[..., None], weights[None], 0.0)
     straight, whole = (lag[..., None] * begun).sum(axis=1), begun.sum(axis=1)
     fading = expected.fading[:, None, None]
-    left = jnp.tensordot(jnp.exp(horizon * grid[None] / fading[:, :, 0]), begun, ((1,), (1,)))
+    grown = jnp.exp(jnp.minimum(horizon * grid[None] / fading[:, :, 0], _LARGEST_EXPONENT))
+    left = jnp.tensordot(grown, begun, ((1,), (1,)))
     left = jnp.exp(-offsets[None, :, None] / fading) * left
     turning = 0.5 * (lag[..., None] ** 2 * begun).sum(axis=1)
     responses = (straight[None], fading * (straight[None] - fading * (whole[None] - left)), turning[None])
