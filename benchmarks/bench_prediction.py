@@ -3,7 +3,8 @@
 python -m benchmarks.bench_prediction [--world env1] [--repeats 500] [--json FILE]
 
 The interception paper reports 18.7 ms for its prediction (mean, on a Titan Xp). ``compiled`` is the one program that
-conditions, draws and scores; ``predictor`` the whole call from observations to candidates, with random numbers.
+conditions, draws and scores; ``predictor`` the whole call from observations to candidates, with random numbers;
+``particles``, ``imm`` and ``fused`` whole calls of the predictors of these names, which know the room.
 """
 
 import argparse
@@ -76,12 +77,14 @@ def scipy_candidates(
 @in_float64
 def measure(world: str, repeats: int) -> list[dict[str, Any]]:
     """One row for each way of doing it."""
-    config = PredictionConfig.for_world(load_world(world))
+    room = load_world(world)
+    config = PredictionConfig.for_world(room)
     model = shipped_model(world, config.dt)
     target = load_target(None, world=world, speed=2.0)
     times = 2.0 + config.dt * np.arange(config.observations)
     seen = Observations(times=times, positions=target.position(times))
     predictor = build_predictor("gmm", config, target.position, model=model)
+    whole = {name: build_predictor(name, config, model=model, world=room) for name in ("particles", "imm", "fused")}
     prepared = jax.device_put(model.conditional())
     observed, newest = (
         window_coordinates(seen.positions, config.observations, model.bounds is not None),
@@ -95,6 +98,7 @@ def measure(world: str, repeats: int) -> list[dict[str, Any]]:
             repeats,
         ),
         "predictor": (lambda index: predictor(seen, index), repeats),
+        **{name: ((lambda index, one=one: one(seen, index)), repeats) for name, one in whole.items()},
         "scipy": (lambda index: scipy_candidates(model, observed, newest, config, rng), max(3, repeats // 100)),
     }
     rows = []

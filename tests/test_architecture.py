@@ -42,6 +42,7 @@ SIBLINGS = {
     ("validation", "errors"),
     ("files", "errors"),
     ("minsnap", "vehicle"),
+    ("prediction", "search"),
     ("scenario", "io"),
     ("scenario", "replanner"),
     ("interception", "scenario"),

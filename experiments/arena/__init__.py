@@ -27,10 +27,12 @@ from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.spline import hover
 from jaxplan.status import PlanStatus
 from jaxplan.world.load import ENVIRONMENTS
+from jaxplan.world.obstacles import World
 
 from .. import closed_loop, reference_times, table1
 from .contestants import CONTESTANTS, REFERENCE, contestant
 from .families import FAMILIES, LEVELS, Case, case
+from .movers import Traffic
 from .report import report
 
 USUAL = ("reference", "navigation", "fast-navigation", "routed-navigation")
@@ -45,7 +47,7 @@ class Config:
     """Who flies what."""
 
     families: tuple[str, ...] = tuple(name for name in FAMILIES if name != "recorded")
-    """Kinds of episodes: stored, entry, rooms, evasive, half-seen, recorded."""
+    """Kinds of episodes: stored, entry, rooms, evasive, half-seen, recorded, camera, moving, moving-seen."""
 
     levels: tuple[int, ...] = LEVELS
     """Of difficulty: 1, 2, 3."""
@@ -113,7 +115,16 @@ def evaluate(config: Config, item: Item) -> Row:
         return {**common, **_reference(config, one)}
     scenario = settled(_base(config, name), one)
     guide = contestant(name).build(scenario, one)
-    return {**common, **numbers(interception.fly(scenario, guide=guide, watch=one.watch, react=one.react))}
+    flown = interception.fly(scenario, guide=guide, watch=one.watch, react=one.react)
+    return {**common, **numbers(flown), **(_among(flown, one.traffic) if one.traffic else {})}
+
+
+def _among(episode: Episode, traffic: Traffic) -> Row:
+    """How near the vehicle came to what moves; who touches it has collided, whatever came after that."""
+    free = traffic.distances(episode.flight.times, episode.flight.position)
+    touched = (free < float(episode.scenario.vehicle.radius)).any()
+    hit: Row = {"outcome": "collision", "time_s": None} if touched else {}
+    return {**hit, "moving_clearance_m": float(free.min())}
 
 
 def numbers(episode: Episode) -> Row:
@@ -154,7 +165,7 @@ def _energy(episode: Episode) -> float:
 
 def settled(base: Scenario, one: Case) -> Scenario:
     """A scenario with the world, target and start of an episode."""
-    planner = base.planner if one.world.name == base.world.name else _planner_in(base.planner, one)
+    planner = base.planner if _room(one.world) == _room(base.world) else _planner_in(base.planner, one)
     return dataclasses.replace(
         base,
         world=one.world,
@@ -168,14 +179,19 @@ def settled(base: Scenario, one: Case) -> Scenario:
     )
 
 
-_PLANNERS: dict[tuple[int, str], Planner] = {}
+_PLANNERS: dict[tuple[int, str, int], Planner] = {}
 """By planner and room; the newest few."""
 MOST_ROOMS = 6
 
 
+def _room(world: World) -> tuple[str, int]:
+    """Its name, and how many boxes it has: spare ones make it another room."""
+    return world.name, len(world.boxes.center)
+
+
 def _planner_in(planner: Planner, one: Case) -> Planner:
     """The planner in a room, from the last time if it was there."""
-    key = (id(planner.plan_batch), one.world.name)
+    key = (id(planner.plan_batch), *_room(one.world))
     if key not in _PLANNERS:
         while len(_PLANNERS) >= MOST_ROOMS:
             del _PLANNERS[next(iter(_PLANNERS))]

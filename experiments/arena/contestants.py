@@ -24,6 +24,7 @@ from ..guidance import FAST, LAWS, Guidance, law_named
 from ..point_mass_mpc import PointMassMpc, has_solver
 from ..routing import around_obstacles
 from .families import Case
+from .movers import Warned
 
 NO_PLANNER = "navigation"
 """Whose scenario has a planner that is never asked."""
@@ -88,7 +89,8 @@ def contestant(name: str) -> Contestant:
 
     def build(scenario: Scenario, case: Case) -> Guide:
         own = dataclasses.replace(scenario, predictor=predictor_named(predictor, case))
-        return Replanner(own.planner, own.predictor, own.start, own.replanning)
+        replanner = Replanner(own.planner, own.predictor, own.start, own.replanning)
+        return replanner if case.traffic is None else Warned(replanner, case.traffic, case.world)
 
     return Contestant(build, planner)
 

@@ -1,6 +1,7 @@
 """The arena's episodes: families of targets, each on three levels of difficulty."""
 
 import contextlib
+import dataclasses
 import functools
 from pathlib import Path
 from typing import NamedTuple
@@ -17,9 +18,11 @@ from jaxplan.training.worlds import BOXES
 from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.load import ENVIRONMENTS, load_world
 from jaxplan.world.obstacles import World
+from jaxplan.world.update import with_spare_boxes
 
 from .evasion import WAYS, Agility, Evader
 from .flights import long_flight, recorded_flight, room_of_boxes
+from .movers import MOST, Traffic, traffic_in
 from .sight import Sight, SightConfig
 
 LEVELS = (1, 2, 3)
@@ -42,8 +45,15 @@ SIGHTS = (
     SightConfig(noise=0.10, dropouts=0.2, latency=0.1, sight_range=20.0, occluded=True),
     SightConfig(noise=0.20, dropouts=0.4, latency=0.3, sight_range=12.0, occluded=True),
 )
+CAMERAS = tuple(
+    dataclasses.replace(SIGHTS[1], field_of_view=np.radians(angle), sight_range=far)
+    for angle, far in ((120.0, 20.0), (90.0, 15.0), (60.0, 10.0))
+)
+"""As the second of them, but with a camera that has to look there."""
 SEEN_SPEED = 2.5
-"""m/s of targets that are half seen."""
+"""m/s of targets that are half seen, or beside obstacles that move."""
+TRAFFIC = ((4, 1.0), (6, 2.0), (MOST, 3.0))
+"""How many boxes move, and how fast at most [m/s]."""
 DEPARTURE, LATE = 0.5, (0.15, 0.45)
 """s; and shares of a flight between which the defender departs in the middle of it."""
 EVADING = 8.0
@@ -57,7 +67,14 @@ FAMILIES = {
     "evasive": "targets that flee, dodge or hide, at a quarter, half and nearly all of the defender's agility",
     "half-seen": "targets seen with noise of 1, 10 and 20 cm, gaps, latency, limited range, and what hides them",
     "recorded": "recorded flights at 0.5, 1 and 2 times their speed, entered late (--recordings)",
+    "camera": "targets half seen by a camera of 120, 90 and 60 degrees that turns to where they were last",
+    "moving": "4, 6 and 8 boxes that swing through the stored rooms at 1, 2 and 3 m/s, on ways that are known",
+    "moving-seen": "the same boxes, of which only their places are seen",
 }
+
+
+_EACH = 10_000
+"""Seeds of a family."""
 
 
 class Case(NamedTuple):
@@ -77,6 +94,8 @@ class Case(NamedTuple):
     known: bool = True
     """Whether the target's motion does not depend on the defender, so that there is a reference."""
     sight: Sight | None = None
+    traffic: Traffic | None = None
+    """Obstacles that move; the world has ``movers.MOST`` spare boxes then."""
 
 
 def case(family: str, level: int, number: int, seed: int, recordings: tuple[str, ...] = ()) -> Case:
@@ -86,7 +105,7 @@ def case(family: str, level: int, number: int, seed: int, recordings: tuple[str,
     """
     if family not in FAMILIES or level not in LEVELS:
         raise InputError(f"arena: have {family!r} on level {level}, want one of {', '.join(FAMILIES)} on level 1 to 3")
-    unique = seed + 10_000 * list(FAMILIES).index(family) + 1000 * level + number
+    unique = seed + _EACH * list(FAMILIES).index(family) + 1000 * level + number
     return _MAKERS[family](level - 1, number, unique, recordings)
 
 
@@ -125,12 +144,43 @@ def _evasive(level: int, number: int, seed: int, recordings: tuple[str, ...]) ->
 
 
 def _half_seen(level: int, number: int, seed: int, recordings: tuple[str, ...]) -> Case:
+    return _seen(SIGHTS[level], number, seed)
+
+
+def _camera(level: int, number: int, seed: int, recordings: tuple[str, ...]) -> Case:
+    return _seen(CAMERAS[level], number, seed)
+
+
+def _seen(config: SightConfig, number: int, seed: int) -> Case:
+    """A stored target, seen by a sensor of this kind."""
     world = _stored_world(number)
     target = load_target(_name(world, number), world=world.name, speed=SEEN_SPEED)
     start = np.asarray(world.start, dtype=float)
-    sight = Sight(world, SIGHTS[level], start, seed)
+    sight = Sight(world, config, start, seed)
     plain = _plain(world, target, 2.0 * DEPARTURE, start, seed)
     return plain._replace(watch=sight.watch, react=sight.look_from, sight=sight)
+
+
+def _moving(level: int, number: int, seed: int, recordings: tuple[str, ...]) -> Case:
+    return _among_movers(level, number, seed, True)
+
+
+def _moving_seen(level: int, number: int, seed: int, recordings: tuple[str, ...]) -> Case:
+    return _among_movers(level, number, seed - _EACH, False)  # the same boxes as the family before
+
+
+def _among_movers(level: int, number: int, seed: int, known: bool) -> Case:
+    """A stored target among boxes that move."""
+    world = _roomier(ENVIRONMENTS[number % len(ENVIRONMENTS)])
+    target, start = load_target(_name(world, number), world=world.name, speed=SEEN_SPEED), np.asarray(world.start)
+    movers = traffic_in(world, target, start, DEPARTURE + 1.0, *TRAFFIC[level], seed)
+    return _plain(world, target, DEPARTURE, start, seed)._replace(traffic=Traffic(movers, known))
+
+
+@functools.lru_cache(maxsize=8)
+def _roomier(name: str) -> World:
+    """A stored room with spare boxes for those that move."""
+    return with_spare_boxes(_load(name), MOST)
 
 
 _MAKERS = {
@@ -140,6 +190,9 @@ _MAKERS = {
     "evasive": _evasive,
     "half-seen": _half_seen,
     "recorded": _recorded,
+    "camera": _camera,
+    "moving": _moving,
+    "moving-seen": _moving_seen,
 }
 
 

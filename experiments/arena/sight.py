@@ -1,4 +1,8 @@
-"""What a defender sees of a target: noisy, late, with gaps, and only what nothing stands before."""
+"""What a defender sees of a target: noisy, late, with gaps, and only what nothing stands before.
+
+A sensor with a field of view is a camera on a gimbal: the vehicle holds its heading, so the camera turns by itself, to
+where the target was last known to be. Where that is too long ago it turns round and round until it sees the target.
+"""
 
 import dataclasses
 
@@ -15,9 +19,13 @@ STEPS = 200
 """Of a line of sight; one that has not arrived by then runs along something all the way, and counts as broken."""
 
 
+FORGOTTEN = 1.0
+"""s after which where the target was is no use any more: as ``PredictionConfig.lost_after``."""
+
+
 @dataclasses.dataclass(frozen=True)
 class SightConfig:
-    """How well a target is seen. A sensor looks in all directions: a camera on a gimbal."""
+    """How well a target is seen."""
 
     noise: float = 0.0
     """Standard deviation along each axis [m]."""
@@ -29,6 +37,10 @@ class SightConfig:
     """m."""
     occluded: bool = False
     """Whether obstacles hide what is behind them."""
+    field_of_view: float = 2.0 * np.pi
+    """Angle [rad] of the cone in which it sees; with the usual one it sees in all directions."""
+    turn_rate: float = 3.0
+    """rad/s at which it turns (arbitrary: gimbals of cameras for racing and filming reach 2 to 6)."""
 
 
 class Sight:
@@ -38,6 +50,9 @@ class Sight:
         self._world, self._config, self._from = world, config, np.asarray(start, dtype=float)
         self._rng = np.random.default_rng((seed, 1))
         self._under_way: list[tuple[float, Float[np.ndarray, "3"]]] = []
+        self._known: tuple[float, Float[np.ndarray, "3"]] | None = None
+        self.looks, self._turned = np.array([1.0, 0.0, 0.0]), 0.0
+        """Where the camera looks: a unit vector [world], at first along the vehicle's heading."""
         self.seen, self.asked = 0, 0
         """Detections, and instants at which there could have been one."""
 
@@ -47,6 +62,7 @@ class Sight:
 
     def watch(self, stream: ObservationStream, now: float, position: Float[np.ndarray, "3"]) -> None:
         """Detect the target where that is possible, and hand on what has become known by ``now`` [s]."""
+        self._turn(now)
         detected = self._detects(position)
         noise, lost = self._rng.normal(scale=1.0, size=3), self._rng.random() < self._config.dropouts
         self.asked += 1
@@ -57,11 +73,38 @@ class Sight:
         self._under_way = self._under_way[len(known) :]
         for time, where in known:
             stream.add(time, where, now)
+            self._known = (time, where)
+
+    def _turn(self, now: float) -> None:
+        """Turn the camera as far as it can since the last time."""
+        most, self._turned = self._config.turn_rate * (now - self._turned), now
+        if self._known is not None and now - self._known[0] <= FORGOTTEN:
+            self.looks = _towards(self.looks, self._known[1] - self._from, most)
+        else:
+            x, y = self.looks[:2] / max(float(np.linalg.norm(self.looks[:2])), 1e-9)
+            self.looks = np.array([x * np.cos(most) - y * np.sin(most), x * np.sin(most) + y * np.cos(most), 0.0])
 
     def _detects(self, position: Float[np.ndarray, "3"]) -> bool:
-        if np.linalg.norm(position - self._from) > self._config.sight_range:
+        way = position - self._from
+        distance = float(np.linalg.norm(way))
+        if distance > self._config.sight_range:
+            return False
+        if float(way @ self.looks) < distance * np.cos(min(0.5 * self._config.field_of_view, np.pi)):
             return False
         return not self._config.occluded or bool(in_sight(self._world, self._from, position[None])[0])
+
+
+def _towards(looks: Float[np.ndarray, "3"], wanted: Float[np.ndarray, "3"], most: float) -> Float[np.ndarray, "3"]:
+    """A unit vector turned towards another vector, by an angle of at most ``most`` [rad]."""
+    wanted = wanted / max(float(np.linalg.norm(wanted)), 1e-9)
+    across = wanted - float(wanted @ looks) * looks
+    size, angle = float(np.linalg.norm(across)), float(np.arccos(np.clip(wanted @ looks, -1.0, 1.0)))
+    if size < 1e-9:  # there already, or right behind: then by the left
+        across = np.array([-looks[1], looks[0], 0.0]) if angle > 1.0 else np.zeros(3)
+        size = max(float(np.linalg.norm(across)), 1e-9)
+    turn = min(most, angle)
+    turned = np.cos(turn) * looks + np.sin(turn) * across / size
+    return np.asarray(turned / np.linalg.norm(turned))
 
 
 def in_sight(world: World, eye: Float[np.ndarray, "3"], places: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:

@@ -117,7 +117,7 @@ def saved_cycle(
         goals, reasons = np.asarray(cycle.plans.goals), np.asarray(cycle.plans.reasons, dtype=np.uint32)
         curves, curve_of = _some_curves(cycle.plans, cycle.chosen)
     if observations is not None and isinstance(predictor, StepPredictor):
-        found = predictor.proposal(observations, index).prediction
+        found = predictor.proposal(observations, index).distribution()
         prediction = _some_of(found, cycle.time - float(observations.age))
     return SavedCycle(
         time=cycle.time,

@@ -27,6 +27,7 @@ from jaxplan.prediction.mixture_predictor import LEAST_SEEN, WindowMixture
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.particles import even_randoms, fastest_seen, flights_proposal, mixture_flights
 from jaxplan.prediction.protocol import PredictionConfig, Proposal, Proposer
+from jaxplan.prediction.survival import surroundings_of
 from jaxplan.prediction.target_model import TargetModel
 from jaxplan.status import Note
 from jaxplan.world.obstacles import World
@@ -57,23 +58,24 @@ def fused_proposer(
     mixture = WindowMixture(config, model, world)
     uniform, numbers = even_randoms(RANDOMS)
     normal, choice = numbers[:, :MODES], ndtr(numbers[:, MODES])
-    room = None if world is None else in_float64(jax.device_put)(world)
+    room = surroundings_of(world)
     most = min(max(1, round(HINDSIGHT / config.dt)), config.steps, max(1, config.observations - LEAST_SEEN))
 
     @in_float64
     def propose(observations: Observations, rng: np.random.Generator) -> Proposal:
         recent = filters.newest(observations)
         held = max(0, min(most, len(recent.times) - LEAST_SEEN))
-        start, flights, levels, foreseen = _filtered(
-            motion, most, room, filters.noise, filters.window(recent), np.array(held), offsets, (uniform, normal)
+        believed, flights, levels, foreseen = _filtered(
+            motion, most, filters.noise, filters.window(recent), np.array(held), offsets, (uniform, normal)
         )
-        fastest = fastest_seen(observations, config)
-        noise = noises[int(np.argmax(levels))]
+        start, fastest = outside_of_things(room, np.asarray(believed)), fastest_seen(observations, config)
+        noise = noises[int(np.asarray(levels).argmax())]
         given = mixture.given(recent, noise)
         if given is None:
             return flights_proposal(config, room, start, flights, Note.PREDICTOR_FALLBACK, fastest)
         learned, distance = mixture_flights(*given, uniform, normal)
-        log_odds = _log_odds(mixture, recent, held, noise, float(distance), np.asarray(foreseen))
+        hindsight = _foreseen(mixture, recent, held, noise, most)
+        log_odds = _log_odds(mixture, recent, float(distance), hindsight, np.asarray(foreseen)[:held])
         chosen = np.where((choice < 1.0 / (1.0 + np.exp(-log_odds)))[:, None, None], learned, flights)
         unusual = mixture.is_unusual(recent, float(distance))
         note = Note.PREDICTOR_FALLBACK if unusual else Note(0)
@@ -82,31 +84,47 @@ def fused_proposer(
     return propose
 
 
+def _foreseen(
+    mixture: WindowMixture, recent: Observations, held: int, noise: float, most: int
+) -> Float[Array, "h"] | None:
+    """Log-densities [log 1/m^3] that the learned mixture gave to the newest positions without having seen them.
+
+    None where too few are left to ask it.
+
+    Args:
+        mixture: as of all flights.
+        recent: the window.
+        held: how many of its newest positions it is asked for, of ``most`` at most.
+        noise: of the positions [m], beyond what the mixture learned with.
+        most: how many densities the compiled program computes, whatever ``held``.
+    """
+    first = len(recent.times) - held
+    before = mixture.given(Observations(times=recent.times[:first], positions=recent.positions[:first]), noise)
+    if not held or before is None:
+        return None
+    later = np.resize(recent.positions[first:], (most, 3))
+    return _mixture_foresees(*before, later, np.hypot(BLUR, noise))
+
+
 def _log_odds(
     mixture: WindowMixture,
     recent: Observations,
-    held: int,
-    noise: float,
     distance: float,
-    foreseen: Float[np.ndarray, "h"],
+    learned: Float[Array, "h"] | None,
+    filtered: Float[np.ndarray, "k"],
 ) -> float:
     """Logarithm of the learned mixture's odds against the filter, between -30 and 30 (host).
 
     Args:
         mixture: as of all flights.
         recent: the window.
-        held: how many of its newest positions both are asked for without having seen them.
-        noise: of the positions [m], beyond what the mixture learned with.
-        distance: squared Mahalanobis distance of the window from the mixture's nearest component.
-        foreseen: the filter's log-densities of the ``held`` positions, and others behind them.
+        distance: its squared Mahalanobis distance from the mixture's nearest component.
+        learned: as ``_foreseen``.
+        filtered: the filter's log-densities of the k newest positions.
     """
     log_odds = PRIOR - 0.5 * TEMPER * max(distance - _UNUSUAL * mixture.coordinates(recent), 0.0)
-    first = len(recent.times) - held
-    before = mixture.given(Observations(times=recent.times[:first], positions=recent.positions[:first]), noise)
-    if held and before is not None:
-        later = np.resize(recent.positions[first:], (len(foreseen), 3))
-        learned = np.asarray(_mixture_foresees(*before, later, np.hypot(BLUR, noise)))
-        log_odds += TEMPER * float((learned - foreseen)[:held].sum())
+    if learned is not None:
+        log_odds += TEMPER * float((np.asarray(learned)[: len(filtered)] - filtered).sum())
     return float(np.clip(log_odds, -30.0, 30.0))
 
 
@@ -114,14 +132,13 @@ def _log_odds(
 def _filtered(
     motion: MotionConfig,
     most: int,
-    room: World | None,
     noise: tuple[Float[Array, "l"], Float[Array, "l"]],
     window: tuple[Float[Array, "n"], Float[Array, "n 3"], Int[Array, ""]],
     held: Int[Array, ""],
     offsets: Float[Array, "s"],
     randoms: tuple[Float[Array, "p"], Float[Array, "p r"]],
 ) -> tuple[Float[Array, "3"], Float[Array, "p s 3"], Float[Array, "l"], Float[Array, "h"]]:
-    """Where the target is, its flights, the levels' log-likelihoods, and what was foreseen of the newest positions.
+    """Where the target is believed to be, its flights, the levels' log-likelihoods, and what was foreseen.
 
     The latter are log-densities [log 1/m^3] of ``most`` positions, of which the first ``held`` mean something.
     """
@@ -132,8 +149,7 @@ def _filtered(
     later = jnp.minimum(len(gaps) - held + jnp.arange(most), len(gaps) - 1)
     since = times[later] - times[len(gaps) - 1 - held]
     foreseen = log_foreseen(motion, then, since, jnp.asarray(positions)[later], jnp.hypot(BLUR, noise[0]))
-    start = outside_of_things(room, believed_position(now))
-    return start, filter_flights(motion, now, offsets, *randoms), now.log_levels, foreseen
+    return believed_position(now), filter_flights(motion, now, offsets, *randoms), now.log_levels, foreseen
 
 
 @jax.jit

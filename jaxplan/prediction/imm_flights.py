@@ -29,9 +29,9 @@ from jaxplan.prediction.imm_motions import (
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.particles import even_randoms, fastest_seen, flights_proposal
 from jaxplan.prediction.protocol import PredictionConfig, Proposal, Proposer
+from jaxplan.prediction.survival import Surroundings, surroundings_of
 from jaxplan.records import replace
 from jaxplan.status import Note
-from jaxplan.world.clearance import free_distance
 from jaxplan.world.obstacles import World
 
 RANDOMS = 19
@@ -39,11 +39,14 @@ RANDOMS = 19
 _COSINES = 3
 _GRID = 40
 """Intervals in which the noise of a flight is summed up."""
+_LARGEST_EXPONENT = 600.0
+"""Keeps a sum finite where a flight is predicted for more than a minute; it errs by millimetres there."""
 _LARGEST = 1.5
 """Times ``max_acceleration`` that a particle accelerates at most."""
 _START_CLEARANCE = 0.05
 """m: a target that was seen inside something is put so far in front of it."""
-_PUSHES = 8
+_PUSHES, _SLOPE = 8, 1e-6
+"""How often at most it is pushed, and over how many metres to either side the slope of the distance is taken."""
 
 
 class Filters:
@@ -78,12 +81,13 @@ def imm_proposer(config: PredictionConfig, world: World | None, motion: MotionCo
     """Flights of the filter that hit nothing, for any number of positions at whatever times."""
     filters, offsets = Filters(config), config.offsets
     randoms = even_randoms(RANDOMS)
-    room = None if world is None else in_float64(jax.device_put)(world)
+    room = surroundings_of(world)
 
     @in_float64
     def propose(observations: Observations, rng: np.random.Generator) -> Proposal:
         window = filters.window(filters.newest(observations))
-        start, flights = _filtered(motion, room, filters.noise, window, offsets, randoms)
+        believed, flights = _filtered(motion, filters.noise, window, offsets, randoms)
+        start = outside_of_things(room, np.asarray(believed))
         return flights_proposal(config, room, start, flights, Note(0), fastest_seen(observations, config))
 
     return propose
@@ -126,19 +130,16 @@ def filter_flights(
     return flights
 
 
-def outside_of_things(world: World | None, position: Float[AnyArray, "3"]) -> Float[Array, "3"]:
-    """The place itself, or where something is in the way or the room ends, one close by where it is not."""
-    place = jnp.asarray(position)
-    if world is None:
-        return place
-    distance = jax.value_and_grad(lambda point: free_distance(world, point))
-
-    def push(_: Int[Array, ""], point: Float[Array, "3"]) -> Float[Array, "3"]:
-        free, away = distance(point)
-        moved = point + (_START_CLEARANCE - free) * away / jnp.maximum((away * away).sum(), 0.1)
-        return jnp.where(free < 0.5 * _START_CLEARANCE, moved, point)
-
-    return jax.lax.fori_loop(0, _PUSHES, push, place)
+def outside_of_things(room: Surroundings, place: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """The place itself, or where something is in the way or the room ends, one close by where it is not (host)."""
+    around = place + _SLOPE * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+    for _ in range(_PUSHES):
+        free = room.free_distances(around)
+        if not free[0] < 0.5 * _START_CLEARANCE:
+            break
+        away = (free[1:4] - free[4:]) / (2.0 * _SLOPE)
+        around = around + (_START_CLEARANCE - free[0]) * away / max(float(away @ away), 0.1)
+    return around[0]
 
 
 def believed_position(belief: Belief) -> Float[Array, "3"]:
@@ -149,15 +150,14 @@ def believed_position(belief: Belief) -> Float[Array, "3"]:
 @jax.jit(static_argnums=0)
 def _filtered(
     motion: MotionConfig,
-    room: World | None,
     noise: tuple[Float[Array, "l"], Float[Array, "l"]],
     window: tuple[Float[Array, "n"], Float[Array, "n 3"], Int[Array, ""]],
     offsets: Float[Array, "s"],
     randoms: tuple[Float[Array, "p"], Float[Array, "p r"]],
 ) -> tuple[Float[Array, "3"], Float[Array, "p s 3"]]:
-    """Where the target is, and its flights."""
+    """Where the target is believed to be, and its flights."""
     belief = jax.tree.map(lambda leaf: leaf[-1], track(motion, *noise, *window))
-    return outside_of_things(room, believed_position(belief)), filter_flights(motion, belief, offsets, *randoms)
+    return believed_position(belief), filter_flights(motion, belief, offsets, *randoms)
 
 
 def _noise_response(
@@ -168,13 +168,19 @@ def _noise_response(
     grid = (np.arange(_GRID) + 0.5) / _GRID
     waves = np.cos(np.pi * grid[:, None] * np.arange(_COSINES)) * np.where(np.arange(_COSINES) == 0, 1.0, np.sqrt(2.0))
     weights = waves * jnp.sqrt(horizon) / _GRID
-    lag = jnp.maximum(offsets[:, None] - horizon * grid[None], 0.0)[None]
+    lag = offsets[:, None] - horizon * grid[None]
+    begun = jnp.where((lag > 0.0)[..., None], weights[None], 0.0)
+    straight, whole = (lag[..., None] * begun).sum(axis=1), begun.sum(axis=1)
     fading = expected.fading[:, None, None]
-    responses = (lag, fading * (lag + fading * jnp.expm1(-lag / fading)), 0.5 * lag**2)
+    grown = jnp.exp(jnp.minimum(horizon * grid[None] / fading[:, :, 0], _LARGEST_EXPONENT))
+    left = jnp.tensordot(grown, begun, ((1,), (1,)))
+    left = jnp.exp(-offsets[None, :, None] / fading) * left
+    turning = 0.5 * (lag[..., None] ** 2 * begun).sum(axis=1)
+    responses = (straight[None], fading * (straight[None] - fading * (whole[None] - left)), turning[None])
     sizes = expected.noises(config)
     moved = jnp.zeros((len(speed), len(offsets), _COSINES))
     for which in (STRAIGHT, FADING, TURN):
-        one = sizes[which][:, None, None] * jnp.tensordot(responses[which], weights, 1)
+        one = sizes[which][:, None, None] * responses[which]
         moved = jnp.where((mode == which)[:, None, None], one, moved)
     return moved
 

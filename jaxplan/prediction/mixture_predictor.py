@@ -79,16 +79,16 @@ def mixture_proposer(config: PredictionConfig, model: TargetModel, world: World 
     def propose(observations: Observations, rng: np.random.Generator) -> Proposal:
         given = mixture.given(observations)
         if given is None:
-            return Proposal(constant_velocity(observations, offsets), None, Note.PREDICTOR_FALLBACK)
+            return Proposal(lambda: constant_velocity(observations, offsets), None, Note.PREDICTOR_FALLBACK)
         uniform, normal = draw_randoms(config.steps, config.batch, rng)
         randoms = np.concatenate([uniform[..., None], normal], axis=-1)
         log_weights, means, scored, distance = conditional_draw(*given, randoms)
         if mixture.is_unusual(observations, float(distance)):
-            return Proposal(constant_velocity(observations, offsets), None, Note.PREDICTOR_FALLBACK)
+            return Proposal(lambda: constant_velocity(observations, offsets), None, Note.PREDICTOR_FALLBACK)
         factors = np.asarray(given[0].factors)
         prediction = Prediction(offsets=offsets, log_weights=log_weights, means=means, factors=factors)
         drawn = np.asarray(scored)
-        return Proposal(prediction, Draws(drawn[..., :3], drawn[..., 3]))
+        return Proposal(lambda: prediction, Draws(drawn[..., :3], drawn[..., 3]))
 
     return propose
 

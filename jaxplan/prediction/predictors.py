@@ -108,7 +108,8 @@ def _none(config: PredictionConfig, sources: Sources) -> Proposer:
     """Where the target was seen last."""
 
     def propose(observations: Observations, rng: np.random.Generator) -> Proposal:
-        return Proposal(_certain(np.repeat(observations.positions[-1:], config.steps, axis=0), config.offsets), None)
+        still = np.repeat(observations.positions[-1:], config.steps, axis=0)
+        return Proposal(lambda: _certain(still, config.offsets), None)
 
     return propose
 
@@ -118,7 +119,7 @@ def _ground_truth(config: PredictionConfig, sources: Sources) -> Proposer:
     motion = sources.motion()
 
     def propose(observations: Observations, rng: np.random.Generator) -> Proposal:
-        return Proposal(_certain(motion(observations.times[-1] + config.offsets), config.offsets), None)
+        return Proposal(lambda: _certain(motion(observations.times[-1] + config.offsets), config.offsets), None)
 
     return propose
 
@@ -131,7 +132,7 @@ def _noisy(config: PredictionConfig, sources: Sources) -> Proposer:
         deviations = config.sigma * np.sqrt(np.arange(1, config.steps + 1))
         certain = _certain(motion(observations.times[-1] + config.offsets), config.offsets)
         prediction = replace(certain, factors=deviations[:, None, None, None] * np.eye(3)[None, :, :, None])
-        return Proposal(prediction, _draws(prediction, config.batch, rng))
+        return Proposal(lambda: prediction, _draws(prediction, config.batch, rng))
 
     return propose
 
@@ -140,7 +141,7 @@ def _constant_velocity(config: PredictionConfig, sources: Sources) -> Proposer:
     """On the line through the newest positions."""
 
     def propose(observations: Observations, rng: np.random.Generator) -> Proposal:
-        return Proposal(constant_velocity(observations, config.offsets), None)
+        return Proposal(lambda: constant_velocity(observations, config.offsets), None)
 
     return propose
 
@@ -149,7 +150,7 @@ def _constant_acceleration(config: PredictionConfig, sources: Sources) -> Propos
     """On the parabola through the newest positions."""
 
     def propose(observations: Observations, rng: np.random.Generator) -> Proposal:
-        return Proposal(constant_acceleration(observations, config.offsets), None)
+        return Proposal(lambda: constant_acceleration(observations, config.offsets), None)
 
     return propose
 

@@ -8,6 +8,7 @@ what lies in the past by now is rejected, what remains is as uncertain as its ag
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -105,9 +106,10 @@ class Flights(NamedTuple):
 class Proposal(NamedTuple):
     """What a predictor makes of its observations."""
 
-    prediction: Prediction
+    distribution: Callable[[], Prediction]
+    """Where the target may be: made for those who look at it, which a cycle does not."""
     draws: Draws | None
-    """The goals that are proposed; None where these are the means of the prediction."""
+    """The goals that are proposed; None where these are the means of the distribution."""
     note: Note = Note(0)
     flights: Flights | None = None
     """Whole motions, where it knows them."""
@@ -131,7 +133,7 @@ class StepPredictor:
 
     def predict(self, observations: Observations) -> Prediction:
         """Where the target may be ``config.offsets`` after the newest observation."""
-        return self.propose(observations, np.random.default_rng(self.seed)).prediction
+        return self.propose(observations, np.random.default_rng(self.seed)).distribution()
 
     def proposal(self, observations: Observations, cycle: int) -> Proposal:
         """What cycle number ``cycle`` makes of these observations; the same whenever it is asked."""
@@ -140,10 +142,10 @@ class StepPredictor:
     def __call__(self, observations: Observations, cycle: int) -> Candidates:
         """Goals for the coming steps; with the bit TARGET_LOST, and no place, once the target is silent too long."""
         observations = usual_observations(observations)
-        prediction, draws, note, flights = self.proposal(observations, cycle)
-        offsets = np.asarray(prediction.offsets)
+        distribution, draws, note, flights = self.proposal(observations, cycle)
+        offsets = self.config.offsets
         if draws is None:
-            draws = Draws(np.asarray(prediction.means).swapaxes(1, 2), np.zeros((len(offsets), 1)))
+            draws = Draws(np.asarray(distribution().means).swapaxes(1, 2), np.zeros((len(offsets), 1)))
         candidates = candidates_from(
             observations.positions[-1],
             draws.positions.reshape(-1, 3),

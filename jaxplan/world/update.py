@@ -1,4 +1,4 @@
-"""Change a world in flight: boxes that come and go, cells that become occupied or free (host).
+"""Change a world in flight: boxes that come, move and go, cells that become occupied or free (host).
 
 Arrays keep their shapes and dtypes and everything static stays as it was, so that nothing is compiled anew: boxes go
 into slots that ``with_spare_boxes`` reserved. ``jaxplan.search.update`` brings the lattices up to date.
@@ -49,6 +49,7 @@ def update_world(
     *,
     add_box: Corners | None = None,
     remove_box: int | None = None,
+    move_box: tuple[int, Corners] | None = None,
     occupy: Corners | None = None,
     free: Corners | None = None,
 ) -> Change:
@@ -58,6 +59,7 @@ def update_world(
         world: of NumPy arrays or on a device; the changed arrays are NumPy.
         add_box: corners [m] of a new box along the room's axes, which takes a spare slot (``with_spare_boxes``).
         remove_box: the number of a box in ``world.boxes``; its slot is spare from then on.
+        move_box: the number of a box, or of a spare slot, and the corners [m] between which it is from then on.
         occupy: corners [m]; all cells of a voxel world that touch this box become occupied.
         free: corners [m]; all cells that touch this box become free.
 
@@ -65,12 +67,15 @@ def update_world(
         InputError: not one change but none or several, corners that are not two finite points with lower < upper,
             no spare slot, no such box, or cells in a world without them.
     """
-    if sum(change is not None for change in (add_box, remove_box, occupy, free)) != 1:
-        raise InputError("world: want one change: add_box, remove_box, occupy or free; call update_world once for each")
+    if sum(change is not None for change in (add_box, remove_box, move_box, occupy, free)) != 1:
+        kinds = "add_box, remove_box, move_box, occupy or free"
+        raise InputError(f"world: want one change: {kinds}; call update_world once for each")
     if add_box is not None:
         return _add_box(world, *_corners(add_box))
     if remove_box is not None:
         return _remove_box(world, remove_box)
+    if move_box is not None:
+        return _move_box(world, move_box[0], *_corners(move_box[1]))
     if occupy is not None:
         return _set_occupied(world, *_corners(occupy), True)
     assert free is not None
@@ -94,6 +99,18 @@ def _remove_box(world: World, index: int) -> Change:
     reach = np.abs(np.asarray(world.boxes.rotation)[index]) @ np.asarray(world.boxes.half)[index]
     moved = _place_box(world, index, np.full(3, -_ABSENT), np.full(3, 0.5))
     return Change(moved, centers[index] - reach, centers[index] + reach)
+
+
+def _move_box(world: World, index: int, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Change:
+    """Put box ``index``, or one that is not there yet, from ``lower`` to ``upper`` [m]."""
+    centers = np.asarray(world.boxes.center)
+    if not 0 <= index < len(centers):
+        raise InputError(f"world {world.name!r}: there is no box {index}; want a number below {len(centers)}")
+    moved = _place_box(world, index, (lower + upper) / 2.0, (upper - lower) / 2.0)
+    if centers[index, 2] <= -_ABSENT:
+        return Change(moved, lower, upper)
+    reach = np.abs(np.asarray(world.boxes.rotation)[index]) @ np.asarray(world.boxes.half)[index]
+    return Change(moved, np.minimum(lower, centers[index] - reach), np.maximum(upper, centers[index] + reach))
 
 
 def _set_occupied(world: World, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"], occupied: bool) -> Change:

@@ -4,6 +4,7 @@ import dataclasses
 import functools
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -11,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxplan.errors import InputError
 from jaxplan.prediction.imm import NOISE_LEVELS, NOISE_SHARES, log_foreseen, track
+from jaxplan.prediction.imm_flights import _noise_response
 from jaxplan.prediction.imm_motions import (
     FADING,
     STRAIGHT,
@@ -18,6 +20,7 @@ from jaxplan.prediction.imm_motions import (
     USUAL_MOTION,
     MotionConfig,
     fading_motion,
+    liveliness,
     transition,
     turn_motion,
 )
@@ -206,3 +209,21 @@ def test_implausible_motions_are_refused():
     for wrong in ({"turn_radius": 0.0}, {"fading": (2.0, 1.0)}, {"sojourn": 0.0}, {"straight": -1.0}):
         with pytest.raises(InputError):
             MotionConfig(**wrong)
+
+
+def test_the_noise_of_a_flight_is_summed_up_as_written_out():
+    """The response of each mode to each cosine, term by term and particle by particle."""
+    config, offsets, speeds = MotionConfig(), 0.2 * np.arange(1, 21), np.array([0.1, 1.0, 4.0, 12.0])
+    mode, speed = np.repeat(np.arange(3), 4), np.tile(speeds, 3)
+    found = _noise_response(config, jnp.asarray(offsets), jnp.asarray(mode), jnp.asarray(speed))
+    grid = offsets[-1] * (np.arange(40) + 0.5) / 40
+    for place, (which, fast) in enumerate(zip(mode, speed, strict=True)):
+        expected = liveliness(config, np.array(fast))
+        fading, size = float(expected.fading), float(np.asarray(expected.noises(config)[which]))
+        for step, time in enumerate(offsets):
+            lag = np.maximum(time - grid, 0.0)
+            response = [lag, fading * (lag + fading * np.expm1(-lag / fading)), 0.5 * lag**2][which]
+            for cosine in range(3):
+                wave = np.cos(np.pi * cosine * grid / offsets[-1]) * (1.0 if cosine == 0 else np.sqrt(2.0))
+                written_out = size * (response * wave).sum() * np.sqrt(offsets[-1]) / 40
+                assert float(found[place, step, cosine]) == pytest.approx(written_out, **relative("formula"))

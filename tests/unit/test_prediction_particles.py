@@ -1,6 +1,5 @@
 """Whole futures of the target: as the mixture has them, none through a wall, and what their goals are worth."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -8,17 +7,14 @@ from experiments.prediction_windows import stored_windows
 from jaxplan.prediction.mixture import MODES, conditional_mixture, covariance_factors
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.particles import (
-    CAPTURE_RADIUS,
-    LEAST_CLEARANCE,
     PARTICLES,
-    believable,
     even_randoms,
-    goals_among,
     mixture_flights,
 )
 from jaxplan.prediction.predictors import build_predictor
 from jaxplan.prediction.protocol import PredictionConfig
 from jaxplan.prediction.scores import observe_windows, score
+from jaxplan.prediction.survival import CAPTURE_RADIUS, LEAST_CLEARANCE, believable, goals_among, surroundings_of
 from jaxplan.prediction.target_model import shipped_model
 from jaxplan.status import Note
 from jaxplan.world.host_distance import host_free_distance
@@ -97,12 +93,13 @@ def test_what_would_hit_a_wall_stops_before_it_and_counts_no_more(room):
     ways = np.array([[0.4, 0.0, 0.0], [-0.1, 0.0, 0.0]])
     flights = start + np.arange(1, 6)[:, None] * ways[:, None]
     assert host_free_distance(room, flights[1]).min() > LEAST_CLEARANCE
-    stopped, counts = believable(room, start, flights)
+    around = surroundings_of(room)
+    stopped, counts = believable(around, start, flights)
     np.testing.assert_array_equal(counts, [[1, 1, 0, 0, 0], [1, 1, 1, 1, 1]])
     np.testing.assert_array_equal(stopped[0, 1:], np.repeat(flights[:1, 1], 4, axis=0))
     np.testing.assert_array_equal(stopped[1], flights[1])
 
-    stopped, counts = believable(room, start, flights[:1])
+    stopped, counts = believable(around, start, flights[:1])
     np.testing.assert_array_equal(counts, 1.0)  # nobody else is left: it waits
     assert host_free_distance(room, np.asarray(stopped)).min() >= LEAST_CLEARANCE
 
@@ -117,14 +114,53 @@ def test_nobody_jumps_over_what_is_between_two_steps(room):
     assert len(jumps) > 3
     for index in jumps[:10]:
         flights = (first + way)[[index]][:, None]
-        _, counts = believable(room, first[index], jnp.concatenate([flights, first[[index]][:, None]]))
-        assert counts.tolist() == [[0.0], [1.0]]
+        ways = np.concatenate([flights, first[[index]][:, None]])
+        _, counts = believable(surroundings_of(room), first[index], ways)
+        assert counts.tolist() == [[False], [True]]
+
+
+@pytest.mark.parametrize("speed", [0.1, 0.6, 3.0])
+def test_what_is_not_looked_at_is_clear(room, speed):
+    """Every step and every middle, by the other code that knows distances; many that leave the room among them."""
+    rng, (low, high) = np.random.default_rng(3), np.asarray(room.bounds)
+    starts = rng.uniform(low, high, (200, 3))
+    for start in starts[host_free_distance(room, starts) > LEAST_CLEARANCE][:10]:
+        flights = start + np.cumsum(rng.normal(scale=speed, size=(128, 20, 3)), axis=1)
+        before = np.concatenate([np.broadcast_to(start, (128, 1, 3)), flights[:, :-1]], axis=1)
+        clear = [host_free_distance(room, points) >= LEAST_CLEARANCE for points in (flights, 0.5 * (before + flights))]
+        expected = np.cumprod(np.logical_and(*clear), axis=1).sum(axis=1)
+        stopped, counts = believable(surroundings_of(room), start, flights)
+        survived = np.arange(1, 21) <= expected[:, None]
+        np.testing.assert_array_equal(counts, np.arange(1, 21).clip(max=expected.max()) <= expected[:, None])
+        np.testing.assert_array_equal(stopped[survived], flights[survived])
+        last = np.concatenate([np.broadcast_to(start, (128, 1, 3)), flights], axis=1)[np.arange(128), expected]
+        np.testing.assert_array_equal(stopped[:, -1], last)
+
+
+def test_what_is_not_finite_survives_nothing(room):
+    start = np.asarray(room.start)
+    flights = np.tile(start, (4, 3, 1))
+    flights[1, 1, 0], flights[2, 0, 1], flights[3, 2, 2] = np.nan, np.inf, -np.inf
+    stopped, counts = believable(surroundings_of(room), start, flights)
+    np.testing.assert_array_equal(counts.sum(axis=1), [3, 1, 0, 2])
+    np.testing.assert_array_equal(stopped, np.tile(start, (4, 3, 1)))
+
+
+def test_who_is_too_fast_takes_shorter_steps_in_the_same_directions():
+    rng, longest = np.random.default_rng(4), 0.5
+    steps = rng.normal(scale=0.3, size=(50, 20, 3))
+    lengths = np.linalg.norm(steps, axis=2, keepdims=True)
+    assert 0.2 < (lengths > longest).mean() < 0.8
+    stopped, counts = believable(surroundings_of(None), np.ones(3), 1.0 + np.cumsum(steps, axis=1), longest)
+    expected = 1.0 + np.cumsum(steps * np.minimum(1.0, longest / lengths), axis=1)
+    assert counts.all()
+    assert_close(stopped, expected, "formula")
 
 
 def test_a_goal_is_worth_the_share_of_particles_that_are_near():
     line = CAPTURE_RADIUS * np.array([0.0, 0.6, 1.2, 10.0])
     flights = np.stack([line, np.zeros(4), np.zeros(4)], axis=1)[:, None]
-    goals, worth = goals_among(None, flights, np.array([1.0, 1.0, 1.0, 0.0])[:, None], 4)
+    goals, worth = goals_among(surroundings_of(None), flights, np.array([True, True, True, False])[:, None], 4)
     np.testing.assert_allclose(np.asarray(goals)[0, :, 0], CAPTURE_RADIUS * np.array([0.6, 0.6, 1.2, 0.0]))
     assert_close(worth[0], np.array([3, 3, 2, 2]) / 3.0, "exact")  # the mean stands in the place of the first
 

@@ -67,6 +67,17 @@ def test_boxes_come_and_go(seed: int) -> None:
         assert_same(lattices, build_lattices(world, WITH_NARROW))
 
 
+def test_a_box_moves_in_one_change() -> None:
+    """One that was not there, one that was, and one of the room's own; bit for bit as when it goes and comes."""
+    rng, world = np.random.default_rng(7), with_spare_boxes(load_world("env1"), 2)
+    lattices, last = build_lattices(world, WITH_NARROW), len(world.boxes.center) - 1
+    for index in (last, last, 1, last):
+        lower = rng.uniform([-4.5, -4.5, 0.0], [3.5, 3.5, 0.5])
+        world, lattices = changed(world, lattices, move_box=(index, (lower, lower + rng.uniform(0.3, 1.0, 3))))
+        np.testing.assert_allclose(world.boxes.center[index] - world.boxes.half[index], lower, **tolerance("exact"))
+        assert_same(lattices, build_lattices(world, WITH_NARROW))
+
+
 def test_a_closed_door_closes_and_opens_again() -> None:
     world = with_spare_boxes(load_world("env2"))
     lattices = build_lattices(world)
@@ -146,7 +157,11 @@ def test_many_parts_are_joined_and_named_apart(seed: int) -> None:
 
 
 CHANGES = {
-    "env3": [{"add_box": ([0.0, 0.0, 0.0], [1.0, 1.0, 3.0])}, {"remove_box": 0}],
+    "env3": [
+        {"add_box": ([0.0, 0.0, 0.0], [1.0, 1.0, 3.0])},
+        {"move_box": (0, ([1.0, 0.0, 0.0], [2.0, 1.0, 3.0]))},
+        {"remove_box": 0},
+    ],
     "cells": [{"occupy": ([2.0, 2.0, 0.0], [3.0, 3.0, 1.0])}, {"free": ([2.0, 2.0, 0.0], [3.0, 3.0, 1.0])}],
 }
 
@@ -194,6 +209,11 @@ def test_bad_changes_are_refused() -> None:
     for number in (-1, 99, len(spare.boxes.center) - 1):
         with pytest.raises(InputError, match="no box"):
             update_world(spare, remove_box=number)
+    for number in (-1, 99):
+        with pytest.raises(InputError, match="no box"):
+            update_world(spare, move_box=(number, ([0, 0, 0], [1, 1, 1])))
+    with pytest.raises(InputError, match="lower < upper"):
+        update_world(spare, move_box=(0, ([0, 0, 0], [1, -1, 1])))
     with pytest.raises(InputError, match="no cells"):
         update_world(world, occupy=([0, 0, 0], [1, 1, 1]))
     for several in ({}, {"remove_box": 0, "free": ([0, 0, 0], [1, 1, 1])}):

@@ -1,0 +1,73 @@
+"""Boxes that move: what a planner of still ones is told, and that plans keep clear of it and of them."""
+
+import numpy as np
+import pytest
+
+from experiments.arena.movers import MOST, Mover, Traffic, Warned
+from jaxplan.planner import build_planner
+from jaxplan.policy.constant_speed import constant_speed_policy
+from jaxplan.prediction.candidates import candidates_from
+from jaxplan.prediction.observations import first_observation
+from jaxplan.replanner import Replanner
+from jaxplan.spline import hover
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.world.load import load_world
+from jaxplan.world.update import with_spare_boxes
+from oracles.planner_cases import CONFIG, START
+
+GOAL = np.array([-4.0, 3.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def world():
+    return with_spare_boxes(load_world("env1"), MOST)
+
+
+@pytest.fixture(scope="module")
+def planner(world):
+    built = build_planner(CONFIG, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
+    built.warmup(hover(START))
+    return built
+
+
+def towards_goal(observations, cycle):
+    """One goal, met a while after each cycle."""
+    return candidates_from(GOAL, GOAL[None], np.array([max(3.6 - 0.1 * cycle, 0.5)]), np.zeros(1))
+
+
+def flown(planner, world, traffic, cycles=36):
+    """Where the reference has been, and how often the planner was told something."""
+    replanner = Replanner(planner, towards_goal, hover(START))
+    guide = Warned(replanner, traffic, world)
+    for cycle in range(cycles):
+        guide.step(0.1 * cycle, first_observation(0.1 * cycle, GOAL))
+    times = np.arange(0.0, 0.1 * cycles, 0.01)
+    return times, guide.reference(times).pos, guide.changes
+
+
+def crossing(phase):
+    """A box that crosses the straight way to the goal."""
+    middle = START + 0.5 * (GOAL - START)
+    across = np.cross(GOAL - START, [0.0, 0.0, 1.0])
+    return Mover(np.array([0.3, 0.3, 0.6]), middle, 1.2 * across / np.linalg.norm(across), 1.2, phase)
+
+
+def test_plans_keep_clear_of_what_crosses_their_way(planner, world):
+    """Always where its way is known; where it is only seen, oftener than who is told nothing."""
+    radius, phases = float(load_vehicle().radius), (0.0, 1.6, 3.2, 4.7)
+    touched = {"known": 0, "seen": 0, "nothing": 0}
+    for phase in phases:
+        real = Traffic((crossing(phase),), True)
+        far = Traffic((crossing(phase)._replace(middle=START + np.array([0.0, 0.0, 50.0])),), True)
+        for name, told in (("known", real), ("seen", real._replace(known=False)), ("nothing", far)):
+            times, way, changes = flown(planner, world, told)
+            touched[name] += real.distances(times, way).min() < radius
+            assert (changes > 0) == (name != "nothing")
+            assert np.linalg.norm(way[-1] - START) > 0.5
+    assert touched["known"] == 0
+    assert touched["seen"] < touched["nothing"]
+
+
+def test_what_is_far_away_is_not_told(planner, world):
+    far = crossing(0.0)._replace(middle=START + np.array([0.0, 0.0, 50.0]))
+    assert flown(planner, world, Traffic((far,), True), cycles=3)[2] == 0
