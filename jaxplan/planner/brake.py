@@ -10,13 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxplan.batching import at_fixed_width, pick
 from jaxplan.knots import MAX_WAYPOINTS
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.planner.border import usual_spline, usual_state
 from jaxplan.planner.fallbacks import HITS, Stops
-from jaxplan.planner.parts import Members, Parts
-from jaxplan.planner.stations import Routes, Trajectories, shortened
+from jaxplan.planner.parts import Parts
+from jaxplan.planner.stations import Routes, shortened
 from jaxplan.polynomials import derivative_table
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import Reason
@@ -71,11 +70,7 @@ def brake(parts: Parts, state: FlatState, along: PiecewisePolynomial | None = No
     durations = np.where(segments < legs, times / legs, 0.0)
     least = parts.config.checks.least_probability
 
-    def check(some: Members) -> Trajectories:
-        solved = parts.stations.solve(state, pick(routes, some), durations[:, some], start[:, 0], least)
-        return parts.stations.clear_finely(parts.world, solved)
-
-    found = at_fixed_width(check, np.arange(count), parts.config.width)
+    found = parts.clear(parts.solve(state, routes, durations, start[:, 0], least), np.arange(count))
     reasons = np.asarray(found.margins.reasons)
     touching = np.flatnonzero(reasons & np.uint32(HITS))
     hits = np.zeros(count)

@@ -270,7 +270,7 @@ def _warmup(parts: Parts, state: FlatState) -> None:
     with ThreadPoolExecutor(1) as pool:
         aside = pool.submit(in_float64(_compile_aside), parts, state, candidates)
         asked = [allocation.match for allocation in parts.allocations(hover(state.pos))]
-        compile_all(parts.stations, asked, parts.world, parts.config, state)
+        compile_all(parts.stations, asked, parts.config, state)
         aside.result()
     plan_batch(parts, state, candidates)
     approach(parts, state, candidates)

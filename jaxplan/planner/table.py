@@ -182,7 +182,7 @@ def match(parts: Parts, allocation: Allocation, state: FlatState, table: Table, 
 def check(parts: Parts, state: FlatState, table: Table, matched: Matched) -> Checked:
     """Solve and check the trajectories of the rows just matched."""
     allocation, rows, routes, arrival = matched
-    found = parts.check(allocation, state, routes, arrival.durations, np.asarray(table.candidates.target))
+    found = parts.check(allocation, state, routes, arrival.durations, np.asarray(table.candidates.target), len(rows))
     reasons = np.asarray(arrival.reasons) | np.asarray(found.margins.reasons)
     return Checked(rows, np.asarray(arrival.alpha)[: len(rows)], reasons[: len(rows)], found)
 
