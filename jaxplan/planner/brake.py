@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxplan.batching import pick
 from jaxplan.knots import MAX_WAYPOINTS
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.planner.border import usual_spline, usual_state
@@ -74,7 +75,7 @@ def brake(parts: Parts, state: FlatState, along: PiecewisePolynomial | None = No
     reasons = np.asarray(found.margins.reasons)
     touching = np.flatnonzero(reasons & np.uint32(HITS))
     hits = np.zeros(count)
-    hits[touching] = [impact(parts, found.splines.spline(one), 0.0) for one in touching]
+    hits[touching] = _impacts(parts, pick(found.splines, touching))
     return Stops(
         goals=waypoints[-1].T,
         arrival_times=times,
@@ -94,6 +95,16 @@ def impact(parts: Parts, spline: PiecewisePolynomial, since: float) -> float:
     touching = parts.room.free_distance(np.asarray(spline.evaluate(times))[:, :3]) < parts.radius
     speeds = np.linalg.norm(np.asarray(spline.evaluate(times, 1))[:, :3], axis=1)
     return float(speeds[np.argmax(touching)]) if touching.any() else 0.0
+
+
+def _impacts(parts: Parts, splines: SplineBatch) -> Float[np.ndarray, "k"]:
+    """The same for all of many, from their beginnings on."""
+    times = np.linspace(0.0, 1.0, INSTANTS)[:, None] * np.asarray(splines.durations).sum(axis=0)
+    ways, velocities = (np.asarray(splines.positions(times, derivative)) for derivative in (0, 1))
+    touching = parts.room.free_distance(np.moveaxis(ways, 1, 2)) < parts.radius
+    first, finite = np.argmax(touching, axis=0), np.isfinite(splines.position).all(axis=(0, 1, 2))
+    speeds = np.take_along_axis(np.linalg.norm(velocities, axis=1), first[None], axis=0)[0]
+    return np.where(finite, np.where(touching.any(axis=0), speeds, 0.0), np.inf)
 
 
 def _thrusts(parts: Parts, splines: SplineBatch) -> Float[np.ndarray, "k"]:

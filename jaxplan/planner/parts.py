@@ -14,7 +14,7 @@ from jaxplan.planner.capture import Prospect, straight_capture_times
 from jaxplan.planner.descent import Descend
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.planner.rollouts import Flyer
-from jaxplan.planner.stations import Match, Routes, Stations, Trajectories, shortened
+from jaxplan.planner.stations import Match, Routes, Stations, Trajectories
 from jaxplan.planner.validator import Keep, Room
 from jaxplan.policy.placing import Place
 from jaxplan.prediction.candidates import Candidates
@@ -161,7 +161,7 @@ class Parts(NamedTuple):
         passing: Bool[np.ndarray, "k"],
         velocities: Float[np.ndarray, "p 3"] | None = None,
     ) -> Routes:
-        """Waypoints along the paths ``member``, where ``passing`` on to their stop points; arrays as long as needed.
+        """Waypoints along the paths ``member``, where ``passing`` on to their stop points.
 
         The goals of all paths may have ``velocities`` [m/s] at which they are passed: stop points are ahead then.
         """
@@ -173,7 +173,7 @@ class Parts(NamedTuple):
         def place(some: Members) -> Routes:
             return self.stations.route(paths.points[member[some]], stops[some])
 
-        routes = shortened(at_fixed_width(place, np.arange(len(member)), self.config.width))
+        routes = at_fixed_width(place, np.arange(len(member)), self.config.width)
         return routes if velocities is None else routes._replace(velocity=velocities[member].T)
 
     def allocations(self, state: FlatState) -> tuple[Allocation, ...]:

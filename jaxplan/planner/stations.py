@@ -199,6 +199,24 @@ def cut(routes: Routes, length: int) -> Routes:
     return routes._replace(waypoints=np.asarray(routes.waypoints)[:length])
 
 
+def lengthened(trajectories: Trajectories, segments: int) -> Trajectories:
+    """The same with padding behind their last segments until there are ``segments``."""
+    splines, margins = trajectories
+    missing = segments - len(splines.durations)
+    if missing == 0:
+        return trajectories
+    durations = np.pad(np.asarray(splines.durations), [(0, missing), (0, 0)])
+    position, yaw = _staying(np.asarray(splines.position), missing), _staying(np.asarray(splines.yaw), missing)
+    return Trajectories(SplineBatch(durations=durations, position=position, yaw=yaw), margins)
+
+
+def _staying(coefficients: Float[np.ndarray, "m n d k"], more: int) -> Float[np.ndarray, "l n d k"]:
+    """Polynomials on [0, 1] and so many more behind them that stay where the last one ends."""
+    rest = np.zeros((more, *coefficients.shape[1:]))
+    rest[:, 0] = coefficients[-1].sum(axis=0)
+    return np.concatenate([coefficients, rest])
+
+
 def no_trajectories() -> Trajectories:
     """What the stations give for no candidate at all."""
     segments, none = MAX_WAYPOINTS - 1, np.zeros(0)

@@ -71,8 +71,9 @@ def flights_keep_clear(
     clear, least = np.zeros(len(durations), bool), np.full(len(durations), np.nan)
     table = control_point_table(position.shape[2], derivative=2, pieces=1)
     corners = tuple(bounds.ravel().tolist())
-    parts = (np.array(part, np.float64, order="C") for part in (durations, position))  # one type: one program
-    _compiled()(solids, corners, *parts, table, kept, tuple(cut), clear, least)
+    times = np.array(durations, np.float64, order="C")  # a copy may be written to, as its type says: one program
+    coefficients = np.array(position, np.float64, order="C")
+    _compiled()(solids, corners, times, coefficients, table, kept, tuple(cut), clear, least)
     return clear, least
 
 
