@@ -14,7 +14,7 @@ from jaxplan.batching import pick
 from jaxplan.knots import MAX_WAYPOINTS
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.planner.border import usual_spline, usual_state
-from jaxplan.planner.fallbacks import HITS, Stops
+from jaxplan.planner.fallbacks import Stops
 from jaxplan.planner.parts import Parts
 from jaxplan.planner.stations import Routes, shortened
 from jaxplan.polynomials import derivative_table
@@ -73,8 +73,9 @@ def brake(parts: Parts, state: FlatState, along: PiecewisePolynomial | None = No
 
     found = parts.clear(parts.solve(state, routes, durations, start[:, 0], least), np.arange(count))
     reasons = np.asarray(found.margins.reasons)
-    touching = np.flatnonzero(reasons & np.uint32(HITS))
-    hits = np.zeros(count)
+    endless = (reasons & np.uint32(Reason.NONFINITE)) != 0
+    touching = np.flatnonzero(((reasons & np.uint32(Reason.CLEARANCE)) != 0) & ~endless)
+    hits = np.where(endless, np.inf, 0.0)
     hits[touching] = _impacts(parts, pick(found.splines, touching))
     return Stops(
         goals=waypoints[-1].T,
@@ -98,13 +99,13 @@ def impact(parts: Parts, spline: PiecewisePolynomial, since: float) -> float:
 
 
 def _impacts(parts: Parts, splines: SplineBatch) -> Float[np.ndarray, "k"]:
-    """The same for all of many, from their beginnings on."""
+    """The same for many at once that are finite, from their beginnings on."""
     times = np.linspace(0.0, 1.0, INSTANTS)[:, None] * np.asarray(splines.durations).sum(axis=0)
     ways, velocities = (np.asarray(splines.positions(times, derivative)) for derivative in (0, 1))
     touching = parts.room.free_distance(np.moveaxis(ways, 1, 2)) < parts.radius
-    first, finite = np.argmax(touching, axis=0), np.isfinite(splines.position).all(axis=(0, 1, 2))
-    speeds = np.take_along_axis(np.linalg.norm(velocities, axis=1), first[None], axis=0)[0]
-    return np.where(finite, np.where(touching.any(axis=0), speeds, 0.0), np.inf)
+    first = np.argmax(touching, axis=0)[None]
+    speeds = np.take_along_axis(np.linalg.norm(velocities, axis=1), first, axis=0)[0]
+    return np.where(touching.any(axis=0), speeds, 0.0)
 
 
 def _thrusts(parts: Parts, splines: SplineBatch) -> Float[np.ndarray, "k"]:

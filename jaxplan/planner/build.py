@@ -236,7 +236,8 @@ def plan_batch(
 def _until_one_passes(parts: Parts, state: FlatState, table: Table, timer: Timer) -> Table:
     """Match, solve and check the best rows first, in rounds, until a round has a usable one.
 
-    Waypoints are placed for no more of them than it takes to fill the next round with what may arrive in time.
+    Waypoints are placed for no more of them than it takes to fill the next round with what may arrive in time. Once the
+    ``timer`` is up there is no further round.
     """
     width, exhaustive = parts.config.width, parts.config.exhaustive
     rows = table.usable() if exhaustive else table.best_first()
@@ -248,7 +249,7 @@ def _until_one_passes(parts: Parts, state: FlatState, table: Table, timer: Timer
         while len(waiting) >= (width if len(rows) else 1):
             table, passed = _round(parts, state, table, waiting[:width], timer)
             waiting = waiting[width:]
-            if passed and not exhaustive:
+            if timer.is_up or (passed and not exhaustive):
                 return outrank(table, np.concatenate([waiting, rows]))
     return table
 
