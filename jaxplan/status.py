@@ -44,7 +44,7 @@ class Reason(enum.IntFlag):
     TARGET_LOST = 1 << 13
     """The target has been silent for too long."""
     OUTRANKED = 1 << 14
-    """A better candidate passed every check, so this one was not evaluated."""
+    """A better candidate passed every check, or the cycle's time was used up, so this one was not evaluated."""
     UNTRACKABLE = 1 << 15
     """By the feasibility classifier, too unlikely to be tracked."""
     BODY_RATE = 1 << 16

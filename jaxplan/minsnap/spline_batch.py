@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxplan.arrays import AnyArray
+from jaxplan.arrays import AnyArray, namespace
 from jaxplan.minsnap.quadratic_program import Passage
 from jaxplan.minsnap.single import interpolate
 from jaxplan.numerics import wrap_angle
@@ -53,32 +53,37 @@ class SplineBatch:
         turns = [horner(yaw, s, duration, derivative) for derivative in range(3)]
         return FlatStateBatch(derivatives=jnp.stack(rows), yaw=jnp.stack(turns))
 
-    def positions(self, times: Float[Array, "u"]) -> Float[Array, "u 3 k"]:
-        """Where each spline is [m, world] at the same ``times`` [s from the start], at rest where it ends."""
-        segment, s, duration = self._located(jnp.broadcast_to(times[:, None], (len(times), self.durations.shape[1])))
+    def positions(self, times: Float[AnyArray, "u k"], derivative: int = 0) -> Float[AnyArray, "u 3 k"]:
+        """Where each spline is [m, world] at its ``times`` [s from the start], at rest where it ends; or a derivative.
+
+        Derivatives where it ends are those that it has there. NumPy gives NumPy.
+        """
+        segment, s, duration = self._located(times)
         position, _ = self._coefficients(segment)
-        return jnp.moveaxis(horner(position, s[None], duration[None], 0), 0, 1)
+        return namespace(s).moveaxis(horner(position, s[None], duration[None], derivative), 0, 1)
 
     def _located(
-        self, times: Float[Array, "p k"]
-    ) -> tuple[Int[Array, "p k"], Float[Array, "p k"], Float[Array, "p k"]]:
+        self, times: Float[AnyArray, "p k"]
+    ) -> tuple[Int[AnyArray, "p k"], Float[AnyArray, "p k"], Float[AnyArray, "p k"]]:
         """In which segment each time [s] falls, the normalised time there, and how long that segment is [s]."""
-        ends = jnp.cumsum(self.durations, axis=0)
-        last = jnp.maximum(jnp.sum(self.durations > 0.0, axis=0) - 1, 0)
-        segment = jnp.minimum(jnp.sum(times[:, None] >= ends[None], axis=1), last[None])
-        duration = jnp.take_along_axis(self.durations, segment, axis=0)
-        duration = jnp.where(duration > 0.0, duration, 1.0)
-        begun = jnp.take_along_axis(ends - self.durations, segment, axis=0)
-        return segment, jnp.clip((times - begun) / duration, 0.0, 1.0), duration
+        xp = namespace(self.durations, times)
+        ends = xp.cumsum(self.durations, axis=0)
+        last = xp.maximum(xp.sum(self.durations > 0.0, axis=0) - 1, 0)
+        segment = xp.minimum(xp.sum(times[:, None] >= ends[None], axis=1), last[None])
+        duration = xp.take_along_axis(self.durations, segment, axis=0)
+        duration = xp.where(duration > 0.0, duration, 1.0)
+        begun = xp.take_along_axis(ends - self.durations, segment, axis=0)
+        return segment, xp.clip((times - begun) / duration, 0.0, 1.0), duration
 
     def _coefficients(
-        self, segment: Int[Array, "p k"]
-    ) -> tuple[list[Float[Array, "3 p k"]], list[Float[Array, "p k"]]]:
+        self, segment: Int[AnyArray, "p k"]
+    ) -> tuple[list[Float[AnyArray, "3 p k"]], list[Float[AnyArray, "p k"]]]:
         """Those of p segments of each spline, by power: position and yaw are gathered together, which is faster."""
+        xp = namespace(self.position, segment)
         segments, count, axes, width = self.position.shape
         flat = self.position.reshape(segments, count * axes, width)
-        both = jnp.moveaxis(jnp.concatenate([flat, self.yaw[:, :, 0]], axis=1), 0, 1)
-        found = jnp.take_along_axis(both, segment[None], axis=1)
+        both = xp.moveaxis(xp.concatenate([flat, self.yaw[:, :, 0]], axis=1), 0, 1)
+        found = xp.take_along_axis(both, segment[None], axis=1)
         position = found[: count * axes].reshape(count, axes, *segment.shape)
         turns = found[count * axes :]
         return [position[power] for power in range(count)], [turns[power] for power in range(len(turns))]

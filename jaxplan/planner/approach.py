@@ -12,7 +12,7 @@ from jaxplan.batching import join, pick
 from jaxplan.planner.border import usual_candidates, usual_state
 from jaxplan.planner.fallbacks import Approaches
 from jaxplan.planner.parts import Parts
-from jaxplan.planner.stations import Routes, no_trajectories
+from jaxplan.planner.stations import Routes, no_trajectories, shortened
 from jaxplan.planner.table import Table, reject, table_of
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.spline import FlatState
@@ -36,7 +36,7 @@ def approach(parts: Parts, state: FlatState, candidates: Candidates) -> Approach
     arrival, reasons, found = np.zeros(len(member)), np.zeros(len(member), np.uint32), no_trajectories()
     if len(rows):
         paths = parts.search(state, table.goals(rows), np.asarray(candidates.target))
-        routes = parts.route(paths, member, passing)
+        routes = shortened(parts.route(paths, member, passing))
         flown = []
         for one, by in enumerate(asked):
             of = np.flatnonzero(allocation == one)

@@ -10,13 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxplan.batching import at_fixed_width, pick
+from jaxplan.batching import pick
 from jaxplan.knots import MAX_WAYPOINTS
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.planner.border import usual_spline, usual_state
-from jaxplan.planner.fallbacks import HITS, Stops
-from jaxplan.planner.parts import Members, Parts
-from jaxplan.planner.stations import Routes, Trajectories, shortened
+from jaxplan.planner.fallbacks import Stops
+from jaxplan.planner.parts import Parts
+from jaxplan.planner.stations import Routes, shortened
 from jaxplan.polynomials import derivative_table
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import Reason
@@ -72,15 +72,12 @@ def brake(parts: Parts, state: FlatState, along: PiecewisePolynomial | None = No
     durations = np.where(segments < legs, times / legs, 0.0)
     least = parts.config.checks.least_probability
 
-    def check(some: Members) -> Trajectories:
-        solved = parts.stations.solve(state, pick(routes, some), durations[:, some], start[:, 0], least)
-        return parts.stations.clear_finely(parts.world, solved)
-
-    found = at_fixed_width(check, np.arange(count), parts.config.width)
+    found = parts.clear(parts.solve(state, routes, durations, start[:, 0], least), np.arange(count))
     reasons = np.asarray(found.margins.reasons)
-    touching = np.flatnonzero(reasons & np.uint32(HITS))
-    hits = np.zeros(count)
-    hits[touching] = [impact(parts, found.splines.spline(one), 0.0) for one in touching]
+    endless = (reasons & np.uint32(Reason.NONFINITE)) != 0
+    touching = np.flatnonzero(((reasons & np.uint32(Reason.CLEARANCE)) != 0) & ~endless)
+    hits = np.where(endless, np.inf, 0.0)
+    hits[touching] = _impacts(parts, pick(found.splines, touching))
     return Stops(
         goals=waypoints[-1].T,
         arrival_times=times,
@@ -100,6 +97,16 @@ def impact(parts: Parts, spline: PiecewisePolynomial, since: float) -> float:
     touching = parts.room.free_distance(np.asarray(spline.evaluate(times))[:, :3]) < parts.radius
     speeds = np.linalg.norm(np.asarray(spline.evaluate(times, 1))[:, :3], axis=1)
     return float(speeds[np.argmax(touching)]) if touching.any() else 0.0
+
+
+def _impacts(parts: Parts, splines: SplineBatch) -> Float[np.ndarray, "k"]:
+    """The same for many at once that are finite, from their beginnings on."""
+    times = np.linspace(0.0, 1.0, INSTANTS)[:, None] * np.asarray(splines.durations).sum(axis=0)
+    ways, velocities = (np.asarray(splines.positions(times, derivative)) for derivative in (0, 1))
+    touching = parts.room.free_distance(np.moveaxis(ways, 1, 2)) < parts.radius
+    first = np.argmax(touching, axis=0)[None]
+    speeds = np.take_along_axis(np.linalg.norm(velocities, axis=1), first, axis=0)[0]
+    return np.where(touching.any(axis=0), speeds, 0.0)
 
 
 def _thrusts(parts: Parts, splines: SplineBatch) -> Float[np.ndarray, "k"]:

@@ -1,7 +1,7 @@
 """``build_planner``, where every decision that depends on configuration is taken, and a replan from top to bottom.
 
-Only what can win is matched, solved and checked: a candidate's score does not depend on alpha, so the reachable ones
-are taken in order of score, some at a time, until one passes. The winner is that of an exhaustive evaluation.
+Only what can win is matched, solved and checked: a candidate's score depends on neither its path nor alpha, so they are
+taken in order of score, some at a time, until one passes. The winner is that of an exhaustive evaluation.
 """
 
 import inspect
@@ -16,11 +16,10 @@ from jaxtyping import Float
 from jaxplan.compilation import give_back_memory
 from jaxplan.errors import InputError
 from jaxplan.feasibility.classifier import Classifier
-from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.planner.approach import approach
 from jaxplan.planner.border import usual_candidates, usual_spline, usual_state
 from jaxplan.planner.brake import brake, impact
-from jaxplan.planner.capture import capture_time, capture_times, prospect_of
+from jaxplan.planner.capture import prospect_of
 from jaxplan.planner.corrections import correct
 from jaxplan.planner.descent import compile_descent
 from jaxplan.planner.fallbacks import Stops
@@ -44,7 +43,7 @@ from jaxplan.planner.records import (
 from jaxplan.planner.refined import Refine, RefinementConfig, Seed
 from jaxplan.planner.refinement import refine
 from jaxplan.planner.rollouts import Rollout, build_flyer, sampled
-from jaxplan.planner.stations import LENGTHS, compile_stations
+from jaxplan.planner.stations import compile_stations
 from jaxplan.planner.table import (
     Rows,
     Table,
@@ -79,6 +78,8 @@ from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.obstacles import World
 from jaxplan.world.update import Change
 
+PORTION = 3
+"""Widths of candidates that get their waypoints at a time: of about so many one width may arrive in time (measured)."""
 DOUBT = 0.25
 """s; how much sooner a candidate's trajectory may capture than a straight flight promises (arbitrary)."""
 
@@ -229,23 +230,39 @@ def plan_batch(
     if len(rows):
         table = search(parts, state, table, rows)
         timer.lap("search")
-        table = knots(parts, table, rows)
-        timer.lap("knots")
-        table = bound(parts, state, table, rows)
-        timer.lap("policy")
-        table = _until_one_passes(parts, state, table, rows if parts.config.exhaustive else table.best_first(), timer)
+        table = _until_one_passes(parts, state, table, timer)
     plans = (table if prospect is None else rescored(table, prospect)).plans()
     timer.lap("select")
     return plans
 
 
-def _until_one_passes(parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Timer) -> Table:
-    """Match, solve and check ``rows`` in their order, in rounds, until a round has a usable one."""
-    width = parts.config.width
-    for begin in range(0, len(rows), width):
-        table, passed = _round(parts, state, table, rows[begin : begin + width], timer)
-        if passed and not parts.config.exhaustive:
-            return outrank(table, rows[begin + width :])
+def _until_one_passes(parts: Parts, state: FlatState, table: Table, timer: Timer) -> Table:
+    """Match, solve and check the best rows first, in rounds, until a round has a usable one.
+
+    Waypoints are placed for no more of them than it takes to fill the next round with what may arrive in time. Once the
+    ``timer`` is up there is no further round.
+    """
+    width, exhaustive = parts.config.width, parts.config.exhaustive
+    rows = table.usable() if exhaustive else table.best_first()
+    waiting, size = rows[:0], len(rows) if exhaustive else PORTION * width
+    while len(rows):
+        some, rows = rows[:size], rows[size:]
+        table = _bounded(parts, state, table, some, timer)
+        waiting = np.concatenate([waiting, some[table.reasons[some] == 0]])
+        while len(waiting) >= (width if len(rows) else 1):
+            table, passed = _round(parts, state, table, waiting[:width], timer)
+            waiting = waiting[width:]
+            if timer.is_up or (passed and not exhaustive):
+                return outrank(table, np.concatenate([waiting, rows]))
+    return table
+
+
+def _bounded(parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Timer) -> Table:
+    """Waypoints for ``rows``, and which of them may be reached in time."""
+    table = knots(parts, table, rows)
+    timer.lap("knots")
+    table = bound(parts, state, table, rows)
+    timer.lap("policy")
     return table
 
 
@@ -273,7 +290,7 @@ def _warmup(parts: Parts, state: FlatState) -> None:
     with ThreadPoolExecutor(1) as pool:
         aside = pool.submit(in_float64(_compile_aside), parts, state, candidates)
         asked = [allocation.match for allocation in parts.allocations(hover(state.pos))]
-        compile_all(parts.stations, asked, parts.world, parts.config, state)
+        compile_all(parts.stations, asked, parts.config, state)
         aside.result()
     plan_batch(parts, state, candidates)
     approach(parts, state, candidates)
@@ -301,14 +318,9 @@ def _fly_once(parts: Parts, stops: Stops) -> None:
 
 
 def _capture_once(parts: Parts, state: FlatState, candidates: Candidates) -> None:
-    """Compile what plans are compared by, for every length of theirs."""
+    """Compile what plans are compared by."""
     still = Futures(times=np.zeros(1), positions=np.asarray(state.pos)[None, None] + 1.0, weights=np.ones(1))
-    prospect = prospect_of(still, parts.config.capture)
-    for length in LENGTHS:
-        segments = length - 1
-        position, yaw = np.zeros((segments, 10, 3, 1)), np.zeros((segments, 6, 1, 1))
-        capture_times(prospect, SplineBatch(durations=np.ones((segments, 1)), position=position, yaw=yaw))
-    capture_time(prospect, correct(parts, state, prospect).spline(0))
+    correct(parts, state, prospect_of(still, parts.config.capture))
     plan_batch(parts, state, replace(candidates, futures=still))
 
 

@@ -15,12 +15,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from jaxplan.arrays import AnyArray
-from jaxplan.batching import at_fixed_width, pick
+from jaxplan.arrays import AnyArray, namespace
+from jaxplan.batching import pick
 from jaxplan.minsnap.spline_batch import SplineBatch
-from jaxplan.precision import in_float64
 from jaxplan.prediction.candidates import Candidates, candidates_from
 from jaxplan.prediction.futures import Futures
 from jaxplan.spline import FlatState, PiecewisePolynomial
@@ -30,8 +29,6 @@ MOTIONS = 64
 """Futures that are looked at: more are thinned out, so that one program serves all predictors (arbitrary)."""
 STEP = 0.05
 """Seconds between the instants that are looked at (arbitrary: a correction reaches farther than is flown in it)."""
-AT_ONCE = 64
-"""Trajectories that are looked at in one call, so that one program serves any number of them."""
 RETURN_SPEED = 5.0
 """m/s at which what is missed by the horizon is counted (arbitrary)."""
 
@@ -118,27 +115,31 @@ def expected_goals(prospect: Prospect, target: Float[np.ndarray, "3"], times: Se
     return candidates_from(target, goals, np.array(times), np.zeros(len(times)))
 
 
-@in_float64
-def capture_times(prospect: Prospect, splines: SplineBatch) -> Float[np.ndarray, "k"]:
-    """Expected seconds until each trajectory captures the target, at rest where it ends; of any number of them."""
-    count = splines.durations.shape[1]
-    if count == 0:
-        return np.zeros(0)
-    return at_fixed_width(lambda some: _of_splines(prospect, pick(splines, some)), np.arange(count), AT_ONCE)
+def capture_times(
+    prospect: Prospect, splines: SplineBatch, some: Int[np.ndarray, "n"] | None = None
+) -> Float[np.ndarray, "k"]:
+    """Expected seconds until each trajectory captures the target, at rest where it ends (host).
+
+    NaN for all but ``some``: each takes its time, and what does not pass is not compared.
+    """
+    times, at = np.full(splines.durations.shape[1], np.nan), prospect.times[:, None]
+    some = np.arange(len(times)) if some is None else some
+    if len(some):
+        ways = pick(splines, some).positions(np.broadcast_to(at, (len(at), len(some))))
+        times[some] = _of_ways(prospect, ways)
+    return times
 
 
-@in_float64
 def capture_time(prospect: Prospect, spline: PiecewisePolynomial, since: float = 0.0) -> float:
     """The same for what is left of one trajectory ``since`` [s of its own time]."""
     at = np.minimum(since + prospect.times, float(spline.duration))
-    way = np.asarray(spline.evaluate(at))[:, :3, None]
-    return float(np.asarray(_of_ways(prospect, way))[0])
+    return float(_of_ways(prospect, np.asarray(spline.evaluate(at))[:, :3, None])[0])
 
 
 @jax.jit
 def straight_capture_times(
     prospect: Prospect, state: FlatState, goals: Float[Array, "k 3"], times: Float[Array, "k"]
-) -> Float[Array, "k"]:
+) -> Float[AnyArray, "k"]:
     """The same before there are trajectories: at a constant acceleration to each goal [m], to be there at its time [s].
 
     They stop soon behind their goals.
@@ -152,30 +153,15 @@ def straight_capture_times(
     return _of_ways(prospect, way)
 
 
-@jax.jit
-def _of_splines(prospect: Prospect, splines: SplineBatch) -> Float[Array, "k"]:
-    return _of_ways(prospect, splines.positions(jnp.asarray(prospect.times)))
-
-
-@jax.jit
-def _of_ways(prospect: Prospect, ways: Float[AnyArray, "u 3 k"]) -> Float[Array, "k"]:
+def _of_ways(prospect: Prospect, ways: Float[AnyArray, "u 3 k"]) -> Float[AnyArray, "k"]:
     """Expected seconds until capture along the positions of k plans [m, world] at the instants of the prospect."""
-    motions, reach = jnp.asarray(prospect.motions), jnp.asarray(prospect.reach)
-    between = prospect.times[1] - prospect.times[0]
-    before = jnp.full((motions.shape[1], ways.shape[2]), jnp.inf, motions.dtype)
-
-    def step(
-        known: tuple[Array, Array], instant: tuple[Array, Array, Array, Array]
-    ) -> tuple[tuple[Array, Array], None]:
-        captured, last = known
-        time, there, near, here = instant
-        apart = sum((there[:, axis, None] - here[None, axis]) ** 2 for axis in range(3))
-        beyond = jnp.sqrt(apart) - near
-        share = jnp.where(jnp.isfinite(last), last / jnp.maximum(last - beyond, 1e-9), 1.0)
-        now = jnp.maximum(time - between * (1.0 - share), 0.0)
-        return (jnp.where((beyond <= 0.0) & jnp.isinf(captured), now, captured), beyond), None
-
-    instants = (jnp.asarray(prospect.times), motions, reach, jnp.asarray(ways))
-    (captured, beyond), _ = jax.lax.scan(step, (before, before), instants)
-    missed = prospect.times[-1] + jnp.maximum(beyond, 0.0) / RETURN_SPEED
-    return jnp.asarray(prospect.weights) @ jnp.where(jnp.isinf(captured), missed, captured)
+    xp, times, motions = namespace(ways), prospect.times, prospect.motions
+    apart = sum((motions[:, :, axis, None] - ways[:, None, axis]) ** 2 for axis in range(3))
+    beyond = xp.sqrt(apart) - prospect.reach[:, None, None]
+    inside = beyond <= 0.0
+    first = xp.argmax(inside, axis=0)[None]
+    there, before = (xp.take_along_axis(beyond, xp.maximum(first - by, 0), axis=0)[0] for by in (0, 1))
+    share = xp.where(first[0] > 0, before / xp.maximum(before - there, 1e-9), 1.0)
+    captured = xp.maximum(xp.asarray(times)[first[0]] - (times[1] - times[0]) * (1.0 - share), 0.0)
+    missed = times[-1] + xp.maximum(beyond[-1], 0.0) / RETURN_SPEED
+    return xp.asarray(prospect.weights) @ xp.where(xp.any(inside, axis=0), captured, missed)

@@ -8,15 +8,14 @@ clear. All are solved and checked at once like any other plan, but for the devia
 """
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from jaxplan.batching import at_fixed_width, pick
 from jaxplan.knots import MAX_WAYPOINTS
 from jaxplan.planner.border import usual_state
 from jaxplan.planner.capture import Prospect
 from jaxplan.planner.fallbacks import Corrections
-from jaxplan.planner.parts import Members, Parts
-from jaxplan.planner.stations import Routes, Trajectories, shortened
+from jaxplan.planner.parts import Parts
+from jaxplan.planner.stations import Routes, shortened
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason
 
@@ -64,12 +63,9 @@ def correct(parts: Parts, state: FlatState, prospect: Prospect) -> Corrections:
     durations = np.zeros((len(routes.waypoints) - 1, count))
     durations[0], durations[1] = times, rests
 
-    def check(some: Members) -> Trajectories:
-        solved = parts.stations.solve(state, pick(routes, some), durations[:, some], start, LEAST_PROBABILITY)
-        return parts.stations.clear_finely(parts.world, solved)
-
-    every: Int[np.ndarray, "n"] = np.arange(count)
-    found = at_fixed_width(check, every, parts.config.width)
+    solved = parts.solve(state, routes, durations, start, LEAST_PROBABILITY)
+    against = np.asarray(solved.margins.reasons) & ~np.uint32(Reason.DEVIATION)
+    found = parts.clear(solved, np.flatnonzero(against == 0))
     return Corrections(
         goals=goals,
         arrival_times=times,

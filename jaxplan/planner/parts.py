@@ -14,10 +14,12 @@ from jaxplan.planner.capture import Prospect, straight_capture_times
 from jaxplan.planner.descent import Descend
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.planner.rollouts import Flyer
-from jaxplan.planner.stations import Match, Routes, Stations, Trajectories, shortened
+from jaxplan.planner.stations import Match, Routes, Stations, Trajectories
 from jaxplan.planner.validator import Keep, Room
 from jaxplan.policy.placing import Place
 from jaxplan.prediction.candidates import Candidates
+from jaxplan.records import replace
+from jaxplan.search.kernels.flights import Cut, flights_keep_clear
 from jaxplan.search.lattice import Lattices, Paths
 from jaxplan.search.meeting_point import beginning_at, ending_before
 from jaxplan.search.routes import find_routes
@@ -33,6 +35,8 @@ LEADS = (0.2, 0.1)
 """Seconds from a start in fast flight to where its routes begin: the longest of which the way is clear (arbitrary)."""
 
 
+FINER = 4
+"""Into how many a piece is cut again that only the looseness of its bound rejects (arbitrary)."""
 Members = Int[np.ndarray, "n"]
 """Numbers of candidates. It has a name, as those below, because what annotates a function within another one is made
 anew in each call, and what jaxtyping makes lies in a cycle until it is collected."""
@@ -157,7 +161,7 @@ class Parts(NamedTuple):
         passing: Bool[np.ndarray, "k"],
         velocities: Float[np.ndarray, "p 3"] | None = None,
     ) -> Routes:
-        """Waypoints along the paths ``member``, where ``passing`` on to their stop points; arrays as long as needed.
+        """Waypoints along the paths ``member``, where ``passing`` on to their stop points.
 
         The goals of all paths may have ``velocities`` [m/s] at which they are passed: stop points are ahead then.
         """
@@ -169,7 +173,7 @@ class Parts(NamedTuple):
         def place(some: Members) -> Routes:
             return self.stations.route(paths.points[member[some]], stops[some])
 
-        routes = shortened(at_fixed_width(place, np.arange(len(member)), self.config.width))
+        routes = at_fixed_width(place, np.arange(len(member)), self.config.width)
         return routes if velocities is None else routes._replace(velocity=velocities[member].T)
 
     def allocations(self, state: FlatState) -> tuple[Allocation, ...]:
@@ -200,20 +204,11 @@ class Parts(NamedTuple):
         routes: Routes,
         durations: Float[AnyArray, "m k"],
         target: Float[np.ndarray, "3"],
+        count: int,
     ) -> Trajectories:
-        """Solved and checked trajectories, as many as the stations take, the preferred ones first.
-
-        The clearance is looked at where anything passes without, and bounded from below, at first loosely: where that
-        alone rejects one that comes before all that pass, once more and tighter.
-        """
-        found = solved = self.stations.solve(state, routes, durations, target, allocation.least_probability)
-        if self.config.exhaustive or not np.all(solved.margins.reasons):
-            found = self.stations.clear(self.world, solved)
-            reasons = np.asarray(found.margins.reasons)
-            before = (np.cumsum(reasons == 0) == 0) | self.config.exhaustive
-            if (before & (reasons == np.uint32(Reason.CLEARANCE))).any():
-                found = self.stations.clear_finely(self.world, solved)
-        return found
+        """Solved and checked trajectories, as many as the stations take, of which the first ``count`` are wanted."""
+        solved = self.stations.solve(state, routes, durations, target, allocation.least_probability)
+        return self.clear(solved, np.flatnonzero(np.asarray(solved.margins.reasons)[:count] == 0))
 
     def check_all(
         self,
@@ -224,8 +219,33 @@ class Parts(NamedTuple):
         target: Float[np.ndarray, "3"],
     ) -> Trajectories:
         """Solved and checked trajectories, any number of them."""
+        solved = self.solve(state, routes, durations, target, allocation.least_probability)
+        return self.clear(solved, np.flatnonzero(np.asarray(solved.margins.reasons) == 0))
 
-        def check(some: Members) -> Trajectories:
-            return self.check(allocation, state, pick(routes, some), durations[:, some], target)
+    def solve(
+        self,
+        state: FlatState,
+        routes: Routes,
+        durations: Float[np.ndarray, "m k"],
+        target: Float[np.ndarray, "3"],
+        least_probability: float,
+    ) -> Trajectories:
+        """Trajectories, any number of them, with all their checks but the one for obstacles."""
 
-        return at_fixed_width(check, np.arange(len(routes.count)), self.config.width)
+        def some_of(some: Members) -> Trajectories:
+            return self.stations.solve(state, pick(routes, some), durations[:, some], target, least_probability)
+
+        return at_fixed_width(some_of, np.arange(len(routes.count)), self.config.width)
+
+    def clear(self, trajectories: Trajectories, looked_at: Members) -> Trajectories:
+        """The same with the clearance of some of them: a check that is worth it where nothing else is against one."""
+        splines, margins = trajectories
+        clearance, reasons = np.full(len(margins.reasons), np.nan), np.array(margins.reasons)
+        durations, position = np.asarray(splines.durations)[:, looked_at], np.asarray(splines.position)[..., looked_at]
+        keep, cut = self.keep, Cut(self.config.checks.samples_per_segment, FINER)
+        kept = (keep.least, keep.slow, keep.per_speed, keep.most)
+        keeps, clearance[looked_at] = flights_keep_clear(
+            self.room.solids, self.room.bounds, durations.T, np.moveaxis(position, -1, 0), kept, cut
+        )
+        reasons[looked_at[~keeps]] |= np.uint32(Reason.CLEARANCE)
+        return Trajectories(splines, replace(margins, clearance=clearance, reasons=reasons))

@@ -1,10 +1,9 @@
 """The compiled stations of a replan, each on its own so that it can be timed, all for the same number of candidates.
 
-The world is an argument of the two stations that see it, not a constant: a distance grid would bloat the program, and
+The world is an argument of the one station that sees it, not a constant: a distance grid would bloat the program, and
 the other stations serve every world.
 """
 
-import dataclasses
 import functools
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -24,7 +23,7 @@ from jaxplan.planner.records import PlannerConfig
 from jaxplan.policy.protocol import Policy
 from jaxplan.policy.speed_profile import speed_profile_policy
 from jaxplan.prediction.candidates import Candidates, reject_early
-from jaxplan.selection import CheckConfig, Margins, check_clearance, check_flight
+from jaxplan.selection import Margins, check_flight
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason, bit
 from jaxplan.vehicle.params import Vehicle
@@ -33,8 +32,6 @@ from jaxplan.world.obstacles import World
 
 LENGTHS = (7, MAX_WAYPOINTS)
 """Waypoints of the sequences that are compiled: most replans have no longer one than the first."""
-FINER = 4
-"""By how much the second clearance check cuts segments into more pieces than the first (arbitrary)."""
 
 
 class Routes(NamedTuple):
@@ -104,13 +101,6 @@ class Solve(Protocol):
         """
 
 
-class Clear(Protocol):
-    """The same trajectories with their clearance."""
-
-    def __call__(self, world: World, trajectories: Trajectories) -> Trajectories:
-        """Checks against the obstacles and faces of ``world``."""
-
-
 class Stations(NamedTuple):
     """The compiled functions."""
 
@@ -119,9 +109,6 @@ class Stations(NamedTuple):
     match_policy: Match
     match_profile: Match
     solve: Solve
-    clear: Clear
-    clear_finely: Clear
-    """The same from more samples: a tighter bound, for what only the first one's looseness rejects."""
 
 
 def compile_stations(
@@ -178,15 +165,9 @@ def compile_stations(
             splines, check_flight(splines, paths, vehicle, config.checks, probability, least_probability)
         )
 
-    def clear(world: World, trajectories: Trajectories, checks: CheckConfig) -> Trajectories:
-        splines, margins = trajectories
-        return Trajectories(splines, check_clearance(margins, splines, world, vehicle, checks))
-
     profile = speed_profile_policy(sideways_acceleration(vehicle))
     by_policy, by_profile = (kept(functools.partial(match, by)) for by in (policy, profile))
-    fine = dataclasses.replace(config.checks, samples_per_segment=FINER * config.checks.samples_per_segment)
-    loosely, finely = (kept(functools.partial(clear, checks=checks)) for checks in (config.checks, fine))
-    return Stations(reject, route, by_policy, by_profile, solve, loosely, finely)
+    return Stations(reject, route, by_policy, by_profile, solve)
 
 
 def _at_target(routes: Routes, durations: Float[Array, "m k"], target: Float[Array, "3"]) -> Float[Array, "n 2 k"]:
@@ -216,6 +197,24 @@ def shortened(routes: Routes) -> Routes:
 def cut(routes: Routes, length: int) -> Routes:
     """The same sequences in arrays of ``length`` waypoints."""
     return routes._replace(waypoints=np.asarray(routes.waypoints)[:length])
+
+
+def lengthened(trajectories: Trajectories, segments: int) -> Trajectories:
+    """The same with padding behind their last segments until there are ``segments``."""
+    splines, margins = trajectories
+    missing = segments - len(splines.durations)
+    if missing == 0:
+        return trajectories
+    durations = np.pad(np.asarray(splines.durations), [(0, missing), (0, 0)])
+    position, yaw = _staying(np.asarray(splines.position), missing), _staying(np.asarray(splines.yaw), missing)
+    return Trajectories(SplineBatch(durations=durations, position=position, yaw=yaw), margins)
+
+
+def _staying(coefficients: Float[np.ndarray, "m n d k"], more: int) -> Float[np.ndarray, "l n d k"]:
+    """Polynomials on [0, 1] and so many more behind them that stay where the last one ends."""
+    rest = np.zeros((more, *coefficients.shape[1:]))
+    rest[:, 0] = coefficients[-1].sum(axis=0)
+    return np.concatenate([coefficients, rest])
 
 
 def no_trajectories() -> Trajectories:

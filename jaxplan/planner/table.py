@@ -4,6 +4,7 @@ Each station takes the table and the rows that it is to look at, and returns the
 keeps time, none decides who comes next: ``plan_batch`` does.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from jaxplan.batching import fill, join, pick
 from jaxplan.planner.capture import Prospect, capture_times
 from jaxplan.planner.parts import Allocation, Parts
 from jaxplan.planner.records import Plans
-from jaxplan.planner.stations import Routes, Trajectories, no_trajectories
+from jaxplan.planner.stations import Routes, Trajectories, lengthened, no_trajectories, shortened
 from jaxplan.prediction.candidates import Candidates, target_velocities
 from jaxplan.search.lattice import Paths
 from jaxplan.spline import FlatState
@@ -59,11 +60,15 @@ class Table(NamedTuple):
     alpha: Float[np.ndarray, "k"]
     """Scale factor of the time allocation; NaN where none was computed."""
     route: Int[np.ndarray, "k"]
-    """Column of ``paths`` and ``routes``."""
+    """Column of ``routes``."""
+    path: Int[np.ndarray, "k"]
+    """Row of ``paths``, that of the shortest one."""
     trajectory: Int[np.ndarray, "k"]
     """Column of all ``trajectories``, one after the other."""
     paths: Paths | None = None
+    """To the goals of all rows that were searched: the shortest ones, then further ones in the same order."""
     routes: Routes | None = None
+    """Along those paths of which waypoints were wanted so far."""
     trajectories: tuple[tuple[Trajectories, int], ...] = ()
     """What each round gave, and how many of its columns count."""
 
@@ -97,7 +102,7 @@ class Table(NamedTuple):
 
     def plans(self) -> Plans:
         """The table as it is returned."""
-        splines, margins = join(self.trajectories) if self.trajectories else no_trajectories()
+        splines, margins = _joined(self.trajectories) if self.trajectories else no_trajectories()
         return Plans(
             goals=self.goals(self.every_row),
             arrival_times=self.arrival_times(self.every_row),
@@ -114,7 +119,7 @@ def table_of(candidates: Candidates, score: Float[np.ndarray, "k"]) -> Table:
     """A table of which nothing is known but the score."""
     count = len(candidates.goals)
     none, nowhere = np.zeros(count, np.uint32), np.full(count, -1)
-    return Table(candidates, score, none, none, np.full(count, np.nan), nowhere, nowhere)
+    return Table(candidates, score, none, none, np.full(count, np.nan), nowhere, nowhere, nowhere)
 
 
 def reject(parts: Parts, state: FlatState, table: Table) -> Table:
@@ -132,42 +137,46 @@ def search(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
     target = np.asarray(table.candidates.target)
     paths = parts.search(state, table.goals(rows), target, parts.config.alternatives)
     found = paths.reasons[: len(rows)]
-    return table.against(rows, found)._replace(paths=paths, route=_numbered(table.route, rows, 0))
+    return table.against(rows, found)._replace(paths=paths, path=_numbered(table.path, rows, 0))
 
 
 def knots(parts: Parts, table: Table, rows: Rows) -> Table:
-    """Place waypoints along the paths of all ``rows`` that were searched."""
-    assert table.paths is not None, "rows are searched first"
-    every = np.arange(len(table.paths.count))
+    """Place waypoints along the paths of ``rows``."""
+    paths = _paths_of(parts, table, rows)
+    every = np.arange(len(paths.count))
     expected = target_velocities(table.candidates)[rows] if parts.config.meet == "match" else None
     velocities = None if expected is None else np.tile(expected, (len(every) // len(rows), 1))
-    routes = parts.route(table.paths, every, np.full(len(every), parts.config.meet != "rest"), velocities)
+    routes = parts.route(paths, every, np.full(len(every), parts.config.meet != "rest"), velocities)
     reasons = np.asarray(routes.reasons)[: len(rows)].copy()
     if expected is not None:
         ends = (np.asarray(routes.meet) == np.asarray(routes.count) - 1)[: len(rows)]
         moving = np.linalg.norm(expected, axis=1) > SLOWEST_MEETING
         reasons[ends & moving] |= np.uint32(Reason.NO_STOP)
-    return table.against(rows, reasons)._replace(routes=routes)
+    before = 0 if table.routes is None else len(table.routes.count)
+    whole = routes if table.routes is None else join([(table.routes, before), (routes, len(every))])
+    return table.against(rows, reasons)._replace(routes=whole, route=_numbered(table.route, rows, before))
 
 
 def bound(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
-    """Ask the first time allocation for the least time to each goal: what takes longer than T_goal cannot be met.
+    """Ask the first time allocation for the least time to the goals of the ``rows`` that had their waypoints last.
+
+    What takes longer than T_goal cannot be met.
 
     Of several routes to a goal the one of the least time is kept.
     """
-    assert table.paths is not None, "rows are searched first"
     assert table.routes is not None, "waypoints come first"
-    alpha, least = table.alpha.copy(), parts.config.arrival.least_alpha
+    paths = _paths_of(parts, table, rows)
+    alpha, least, route = table.alpha.copy(), parts.config.arrival.least_alpha, table.route.copy()
     first, *_ = parts.allocations(state)
-    count = len(table.paths.count)
-    durations = parts.durations_at(first, state, table.routes, np.full(count, least))
-    times = np.asarray(time_to(durations, np.asarray(table.routes.meet))).copy()
-    times[len(rows) :][table.paths.reasons[len(rows) :] != 0] = np.inf
+    begin, count = int(route[rows[0]]), len(paths.count)
+    routes = shortened(pick(table.routes, np.arange(begin, begin + count)))
+    durations = parts.durations_at(first, state, routes, np.full(count, least))
+    times = np.asarray(time_to(durations, np.asarray(routes.meet))).copy()
+    times[len(rows) :][paths.reasons[len(rows) :] != 0] = np.inf
     soonest = np.argmin(times.reshape(-1, len(rows)), axis=0) * len(rows) + np.arange(len(rows))
     alpha[rows] = least * table.arrival_times(rows) / times[soonest]
     late = ~(alpha[rows] >= least * (1.0 - parts.config.arrival.tolerance))
-    route = table.route.copy()
-    route[rows] = soonest
+    route[rows] = begin + soonest
     reasons = np.where(late, Reason.ALPHA_LT_1, 0).astype(np.uint32)
     return table.against(rows, reasons)._replace(alpha=alpha, route=route)
 
@@ -175,14 +184,15 @@ def bound(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
 def match(parts: Parts, allocation: Allocation, state: FlatState, table: Table, rows: Rows) -> Matched:
     """Slow at most ``width`` rows down until each arrives at T_goal."""
     padded = fill(rows, parts.config.width)
-    routes, least = pick(table.routes, table.route[padded]), np.full(len(padded), parts.config.arrival.least_alpha)
+    routes = shortened(pick(table.routes, table.route[padded]))
+    least = np.full(len(padded), parts.config.arrival.least_alpha)
     return Matched(allocation, rows, routes, allocation.match(state, routes, table.arrival_times(padded), least))
 
 
 def check(parts: Parts, state: FlatState, table: Table, matched: Matched) -> Checked:
     """Solve and check the trajectories of the rows just matched."""
     allocation, rows, routes, arrival = matched
-    found = parts.check(allocation, state, routes, arrival.durations, np.asarray(table.candidates.target))
+    found = parts.check(allocation, state, routes, arrival.durations, np.asarray(table.candidates.target), len(rows))
     reasons = np.asarray(arrival.reasons) | np.asarray(found.margins.reasons)
     return Checked(rows, np.asarray(arrival.alpha)[: len(rows)], reasons[: len(rows)], found)
 
@@ -204,10 +214,26 @@ def rescored(table: Table, prospect: Prospect) -> Table:
     passing = np.flatnonzero(((table.reasons | table.faults) == 0) & (table.trajectory >= 0))
     if not len(passing):
         return table
-    score = table.score.copy()
-    times = [capture_times(prospect, found.splines)[:count] for found, count in table.trajectories]
-    score[passing] = -np.concatenate(times)[table.trajectory[passing]]
+    score, before = table.score.copy(), 0
+    for found, count in table.trajectories:
+        column = table.trajectory[passing] - before
+        here = (column >= 0) & (column < count)
+        score[passing[here]] = -capture_times(prospect, found.splines, column[here])[column[here]]
+        before += count
     return table._replace(score=score)
+
+
+def _paths_of(parts: Parts, table: Table, rows: Rows) -> Paths:
+    """The shortest paths to the goals of ``rows``, then the further ones."""
+    assert table.paths is not None, "rows are searched first"
+    apart = len(table.paths.count) // parts.config.alternatives
+    return table.paths.some(np.concatenate([table.path[rows] + i * apart for i in range(parts.config.alternatives)]))
+
+
+def _joined(rounds: Sequence[tuple[Trajectories, int]]) -> Trajectories:
+    """The trajectories of all rounds, one after the other, as long as the longest."""
+    segments = max(len(found.splines.durations) for found, _ in rounds)
+    return join([(lengthened(found, segments), count) for found, count in rounds])
 
 
 def _numbered(columns: Int[np.ndarray, "k"], rows: Rows, first: int) -> Int[np.ndarray, "k"]:

@@ -1,8 +1,9 @@
 """The last look at a plan before it is committed, and at a committed one in every cycle (host, NumPy).
 
-It shares nothing with the checks that chose the plan: it evaluates polynomials by Taylor's expansion about the middles
-of short pieces, takes distances from the search's compiled code, and turns the attitude along the trajectory instead of
-solving for the body's rates. What both find is found by two ways.
+It shares one thing with the checks that chose the plan, the distance from a point to what is solid, which tests compare
+with another code's (``jaxplan.world.clearance``). It evaluates polynomials by Taylor's expansion about the middles of
+short pieces, and turns the attitude along the trajectory instead of solving for the body's rates. What both find is
+found by two ways.
 
 On a piece whose middle is at p every point is within sum_k |p^(k)| h^k / k! of p, with h half its duration: a clearance
 that holds between samples too. Rotors are looked at against drag, at the middles.

@@ -164,19 +164,17 @@ class Decision:
         """
         rival = _Rival(self.incumbent.score + self._planner.config.capture.gain, PlanStatus.KEPT_COMMITTED, None)
         corrections = self._planner.correct(self._known.start.state, prospect)
-        corrected = -capture_times(prospect, corrections.splines)
+        corrected = _worth(prospect, corrections)
         self._timer.lap("correct")
         if (plans.reasons == 0).any() or (corrections.reasons == 0).any():
             rival = self._sooner(rival, plans, plans.score, PlanStatus.INTERCEPT)
             rival = self._sooner(rival, corrections, corrected, PlanStatus.INTERCEPT)
         else:
             approaches = self._approaches()
-            score = -capture_times(prospect, approaches.splines)
-            rival = self._sooner(rival, approaches, score, PlanStatus.APPROACH)
+            rival = self._sooner(rival, approaches, _worth(prospect, approaches), PlanStatus.APPROACH)
             if rival.chosen is None and np.isfinite(self.incumbent.score):
                 stops = self._planner.brake(self._known.start.state, self._known.committed.spline, self._known.since)
-                score = -capture_times(prospect, stops.splines)
-                rival = self._sooner(rival, stops, score, PlanStatus.APPROACH)
+                rival = self._sooner(rival, stops, _worth(prospect, stops), PlanStatus.APPROACH)
                 self._timer.lap("stop")
         if rival.chosen is None and not np.isfinite(self.incumbent.score):
             return self.stop(PlanStatus.BRAKE)
@@ -252,3 +250,8 @@ class Decision:
             return True
         flown = ahead.along(spline, start.takeover)
         return bool(flown.clear[0] and flown.followed[0])
+
+
+def _worth(prospect: Prospect, among: Flights) -> Float[np.ndarray, "k"]:
+    """What those that pass are worth by how soon they are expected to capture the target [s]; NaN for the others."""
+    return -capture_times(prospect, among.splines, np.flatnonzero(among.reasons == 0))

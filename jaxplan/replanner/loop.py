@@ -40,6 +40,9 @@ REMEMBERED = 100
 """Cycles whose computing times say what the latency is to be (arbitrary)."""
 RESERVE = 1.2
 """By how much the latency is longer than 99 of 100 of them (arbitrary)."""
+PLANNED = 0.6
+"""Share of the latency after which no more candidates are tried, where late plans are dropped: what has passed by then
+is chosen from, and the rest is for looking at it (arbitrary)."""
 
 
 class Replanner:
@@ -121,7 +124,8 @@ class Replanner:
         if not np.isfinite(now) or now < self._last:
             raise InputError(f"replanner: now is {now} s, want a finite time from {self._last} s on, the last cycle's")
         measured = None if measured is None else usual_measured(measured)
-        timer, self._last, latency = Timer(self._clock), now, self.latency
+        self._last, latency = now, self.latency
+        timer = Timer(self._clock, 1e3 * PLANNED * latency if self.config.drop_late else np.inf)
         ahead = look_ahead(self.planner, self._committed, now, measured)
         start = self._start(now, measured, ahead)
         timer.lap("roll out")

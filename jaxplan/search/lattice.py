@@ -5,7 +5,7 @@ not reach a goal, the next finer lattice is tried for the goals that are left; o
 ``NO_PATH``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from jaxtyping import Float, Int, UInt32
@@ -115,6 +115,11 @@ class Paths:
     """Length of the whole path to the goal [m], also where ``points`` holds its prefix; inf where there is none."""
     expanded: int
     """Places and cells settled, over all that was tried."""
+
+    def some(self, rows: Int[np.ndarray, "n"]) -> "Paths":
+        """Those of some rows, in that order."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Paths(**{name: value[rows] if np.ndim(value) else value for name, value in values.items()})
 
 
 def build_lattices(world: World, config: SearchConfig | None = None) -> Lattices:

@@ -10,7 +10,6 @@
 With the method "multi-resolution" lattices are searched instead (``jaxplan.search.lattice_routes``).
 """
 
-import dataclasses
 from typing import Annotated
 
 import numpy as np
@@ -108,8 +107,7 @@ def _shortest_first(paths: Paths, alternatives: int) -> Paths:
     """The rows of each goal by their length: an alternative is sometimes a little shorter."""
     order = np.argsort(paths.length.reshape(alternatives, -1), axis=0, kind="stable")
     rows = (order * order.shape[1] + np.arange(order.shape[1])).ravel()
-    values = {field.name: getattr(paths, field.name) for field in dataclasses.fields(paths)}
-    return Paths(**{name: value[rows] if isinstance(value, np.ndarray) else value for name, value in values.items()})
+    return paths.some(rows)
 
 
 def warmup(lattices: Lattices, world: World, capacity: int = 32) -> None:

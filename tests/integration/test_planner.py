@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ import pytest
 from jaxplan.compilation import compilations
 from jaxplan.errors import InputError
 from jaxplan.knots import KnotConfig
-from jaxplan.planner import PlannerConfig, build_planner, select, select_approach
+from jaxplan.planner import PlannerConfig, Timer, build_planner, select, select_approach
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
 from jaxplan.records import replace
@@ -126,6 +127,20 @@ def test_what_cannot_beat_a_committed_plan_is_left_out(planner, moving):
     assert select(planner.plan_batch(moving, given, None, score)) == -1
     assert select(planner.plan_batch(moving, given, None, score - 1e-6)) == best
     assert (planner.plan_batch(moving, given, None, np.inf).trajectory == -1).all()
+
+
+def test_once_the_time_is_up_no_more_candidates_are_tried(world, moving):
+    """None passes, so all are tried; with a clock that says at once that it is too late, those of the first round."""
+    config = dataclasses.replace(CONFIG, checks=CheckConfig(max_deviation=1e-9), allocate="policy")
+    strict = build_planner(config, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
+    given, late = candidates(90), itertools.count().__next__
+    hasty, whole = strict.plan_batch(moving, given, Timer(late, 1e-3)), strict.plan_batch(moving, given)
+    tried, wanted = hasty.trajectory >= 0, whole.trajectory >= 0
+    assert tried.sum() == CONFIG.width < wanted.sum()
+    assert select(hasty) == select(whole) == -1
+    np.testing.assert_array_equal(hasty.reasons[tried], whole.reasons[tried])
+    assert (hasty.reasons[wanted & ~tried] == int(Reason.OUTRANKED)).all()
+    assert hasty.score[tried].min() >= hasty.score[wanted & ~tried].max()
 
 
 def replace_config(exhaustive):

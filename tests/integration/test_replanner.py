@@ -64,6 +64,21 @@ def test_a_plan_that_is_ready_too_late_is_dropped_where_that_is_wanted(planner, 
     assert patient.step(0.0, seen).status is not PlanStatus.LATE
 
 
+@pytest.mark.parametrize("drop", [False, True])
+def test_time_is_up_for_further_candidates_where_late_plans_are_dropped(planner, drop):
+    """0.15 s for the prediction are more than 60 % of 0.2 s; elsewhere results do not depend on the clock."""
+    timers, answer = [], near(np.array([-4.0, -1.0, 1.0]), 3.0)
+
+    def watched(state, candidates, timer, above):
+        timers.append(timer)
+        return planner.plan_batch(state, candidates, timer, above)
+
+    config = ReplannerConfig(latency=0.2, drop_late=drop)
+    replanner = Replanner(planner._replace(plan_batch=watched), Slow(answer), hover(START), config)
+    replanner.step(0.0, first_observation(0.0, START))
+    assert [timer.is_up for timer in timers] == [drop]
+
+
 def near(goal, time, likelihood=0.0):
     return candidates_from(goal, np.array([goal]), np.array([time]), np.array([likelihood]))
 

@@ -12,7 +12,7 @@ from jaxplan.prediction.candidates import candidates_from
 from jaxplan.prediction.observations import first_observation
 from jaxplan.records import replace
 from jaxplan.replanner import Replanner
-from jaxplan.spline import hover
+from jaxplan.spline import FlatState, hover
 from jaxplan.status import PlanStatus, Reason
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.clearance import free_distance
@@ -127,6 +127,16 @@ def test_stops_along_a_plan_go_its_way_and_ask_for_no_more_than_they_say(planner
         assert both.thrust[index] == pytest.approx(asked, rel=0.05)
     ends = np.linalg.norm(both.goals[list(more)] - np.asarray(state.pos), axis=1)
     assert ends.max() > 1.5 * ends.min()
+
+
+def test_every_stop_says_how_hard_it_hits(planner):
+    """0.7 m before a wall at 7 m/s: some hit it, and all say of themselves what is found for each alone."""
+    derivatives = np.zeros((5, 3))
+    derivatives[0], derivatives[1] = START, [-7.0, 0.0, 0.0]
+    stops = planner.brake(FlatState(derivatives=derivatives, yaw=np.zeros(3)))
+    alone = [planner.impact(stops.spline(index), 0.0) for index in range(len(stops.reasons))]
+    np.testing.assert_allclose(stops.impact, alone, **tolerance("formula"))
+    assert (stops.impact > 3.0).any()
 
 
 def test_of_stops_the_gentlest_that_can_be_flown_is_taken(planner):

@@ -116,6 +116,9 @@ def test_it_is_what_loops_over_futures_and_instants_give(seed: int, count: int) 
         way = spline.evaluate(np.minimum(prospect.times, float(spline.duration)))[:, :3]
         assert times[index] == pytest.approx(by_loops(prospect, way), **relative("formula"))
         assert times[index] == pytest.approx(capture_time(prospect, spline), **relative("formula"))
+    some = capture_times(prospect, splines, np.array([3, 1]))
+    assert_close(some[[3, 1]], times[[3, 1]], "exact")
+    assert np.isnan(some[[0, 2, 4]]).all()
 
 
 @given(seed=st.integers(0, 2**32 - 1))
@@ -184,9 +187,14 @@ def test_positions_of_a_batch_are_those_of_each_spline() -> None:
     rng = np.random.default_rng(3)
     splines = minimum_snap_batch(rng.normal(size=(5, 3, 7)), rng.uniform(0.2, 1.5, size=(4, 7))).splines
     times = np.linspace(0.0, 8.0, 41)
-    found = np.asarray(jax.tree.map(jnp.asarray, splines).positions(jnp.asarray(times)))
-    for index in range(7):
-        assert_close(found[..., index], splines.spline(index).evaluate(times)[:, :3], "formula")
+    at = np.tile(times[:, None], (1, 7))
+    traced = jax.tree.map(jnp.asarray, splines)
+    for derivative in (0, 1):
+        found = splines.positions(at, derivative)
+        assert isinstance(found, np.ndarray)
+        assert_close(traced.positions(jnp.asarray(at), derivative), found, "formula")
+        for index in range(7):
+            assert_close(found[..., index], splines.spline(index).evaluate(times, derivative)[:, :3], "formula")
 
 
 @pytest.mark.parametrize(
