@@ -100,8 +100,8 @@ class InterceptConfig:
     --heading hold, which it needs. --refine=no leaves them as the policy has them, as in the paper."""
 
     placing: str | None = None
-    """A policy that places waypoints and times (.npz, see jaxplan train placing), from which --refine goes on where
-    that is the better start. Default: --refine goes on from the plan that was chosen."""
+    """A policy that places waypoints and times (the shipped fleet, or a .npz, see jaxplan train placing), from which
+    --refine goes on where that is the better start. Default: --refine goes on from the plan that was chosen."""
 
     selection: Selection = "capture"
     """What plans are compared by: capture is the expected time until one captures the target, with --meet pass where

@@ -18,7 +18,11 @@ ENVIRONMENTS = ("env1", "env2", "env3")
 """Names of the stored worlds."""
 MAP_ENDINGS = (".xml", ".stl", ".obj", ".ply", ".pcd", ".npy", ".npz", ".bt", ".json")
 """Of the files that a world can be read from."""
-SHIPPED = {"policy": _PACKAGE / "policy" / "weights", "classifier": _PACKAGE / "feasibility" / "weights"}
+SHIPPED = {
+    "policy": _PACKAGE / "policy" / "weights",
+    "placing policy": _PACKAGE / "policy" / "placing_weights",
+    "classifier": _PACKAGE / "feasibility" / "weights",
+}
 """Where the weights are that come with the library, by their kind."""
 
 
@@ -87,7 +91,7 @@ def require_vehicle(name_or_path: str | Path) -> None:
 
 
 def require_weights(source: str | Path, kind: str, folder: Path | None = None) -> None:
-    """Raise ``FileError`` where there is neither a shipped policy or classifier nor a file of this name."""
+    """Raise ``FileError`` where there are neither shipped weights of this kind and name nor a file of this name."""
     names = sorted(file.stem for file in (folder or SHIPPED[kind]).glob("*.npz"))
     if str(source) not in names and not os.path.isfile(source):
         raise FileError(

@@ -91,7 +91,8 @@ def _require_names(config: InterceptConfig) -> None:
     require_vehicle(config.vehicle)
     if config.target is not None or stored_targets(config.world):  # else the world's file is read first
         require_target(config.target, config.world)
-    for kind, source in (("policy", config.policy), ("classifier", config.classifier)):
+    learned = (("policy", config.policy), ("placing policy", config.placing), ("classifier", config.classifier))
+    for kind, source in learned:
         if source is not None:
             require_weights(source, kind)
 

@@ -10,13 +10,14 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxplan.errors import FileError
+from jaxplan.names import SHIPPED
 from jaxplan.policy.network import NetworkConfig
 from jaxplan.policy.placing import SEGMENTS, VEHICLE_NUMBERS, Courses, Place, placing_policy
 from jaxplan.spline import FlatStateBatch
-from jaxplan.validation import require_path
-from jaxplan.weights import read_weights, unflatten, write_weights
+from jaxplan.weights import read_weights, resolve_weights, unflatten, write_weights
 
 KIND = "placing policy"
+WEIGHTS = SHIPPED[KIND]
 GOLDEN_TOLERANCE = 1e-3
 """Largest deviation of the golden plans [s, m]: above any rounding of float32, far below any wrong weight."""
 
@@ -35,20 +36,22 @@ def save_placing(path: Path, config: NetworkConfig, parameters: Any, card: dict[
     write_weights(path, KIND, header, parameters)
 
 
-def load_placing(path: str | Path) -> Place:
-    """The placing policy in a file of ``jaxplan train placing``; it serves every vehicle.
+def load_placing(source: str | Path) -> Place:
+    """The placing policy in a file of ``jaxplan train placing``, or a shipped one by name (``fleet``).
+
+    It serves every vehicle.
 
     Raises:
-        FileError: no such file; damaged; of another format; weights that do not give the golden plans.
+        FileError: no such file or name; damaged; of another format; weights that do not give the golden plans.
     """
-    trained = load_placing_parameters(path)
+    trained = load_placing_parameters(source)
     return placing_policy(trained.network, trained.parameters)
 
 
-def load_placing_parameters(path: str | Path) -> TrainedPlacing:
+def load_placing_parameters(source: str | Path) -> TrainedPlacing:
     """Sizes and weights, to go on training from; checked as by ``load_placing``."""
-    require_path(KIND, path)
-    header, arrays = read_weights(Path(path), KIND)
+    path, _ = resolve_weights(source, WEIGHTS, KIND)
+    header, arrays = read_weights(path, KIND)
     try:
         config = NetworkConfig(**header["network"])
         golden = np.asarray(header["golden"], float)
@@ -64,9 +67,9 @@ def load_placing_parameters(path: str | Path) -> TrainedPlacing:
     return TrainedPlacing(config, jax.tree.map(jnp.asarray, parameters))
 
 
-def placing_card(path: str | Path) -> dict[str, Any]:
+def placing_card(source: str | Path) -> dict[str, Any]:
     """How a placing policy was made and how it scored."""
-    return read_weights(Path(path), KIND)[0]["card"]
+    return read_weights(resolve_weights(source, WEIGHTS, KIND)[0], KIND)[0]["card"]
 
 
 def _golden(config: NetworkConfig, parameters: Any) -> Float[np.ndarray, "r 3"]:

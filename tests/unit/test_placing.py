@@ -147,3 +147,16 @@ def test_policies_of_the_other_kind_are_refused_by_name(weights, tmp_path):
         load_policy(path)
     with pytest.raises(FileError, match="want a placing policy"):
         load_placing(resolve_policy("mfrl")[0])
+
+
+def test_the_shipped_one_comes_by_name_says_how_it_was_made_and_keeps_its_margins_from_hover():
+    place, card = load_placing("fleet"), placing_card("fleet")
+    assert "jaxplan train placing" in card["command"]
+    assert len(card["data"]["sha256"]) == 64
+    assert card["held_out"]["kept"][0] > 0.95
+    given, state = courses(4)
+    placed = place(given, state)
+    assert np.isfinite(placed.points).all()
+    assert (np.asarray(placed.durations) >= SHORTEST).all()
+    with pytest.raises(FileError, match="did you mean 'fleet'"):
+        load_placing("flet")
