@@ -29,7 +29,8 @@ APART, FIRST = 0.8, 1.2
 """m that they keep from the target all the time, and from the defender until it has been on its way for a second."""
 AHEAD, ASIDE = 3.0, 0.8
 """s and m: they swing about places between the defender and where the target will be by then, and so far beside."""
-TRIED = 4096
+TRIED, ROUNDS = 4096, 8
+"""Boxes that are drawn at once, and how often, farther and farther aside, before a room is given up."""
 HORIZONS = (1.8, 1.2, 0.8, 0.4, 0.0)
 """s that are told; shorter ones where the vehicle is in the way."""
 ENOUGH = 1.0
@@ -162,24 +163,40 @@ def traffic_in(
 
     Raises ``InputError`` where the room has no place for them.
     """
-    rng, (lower, upper) = np.random.default_rng((seed, 6)), np.asarray(world.bounds, dtype=float)
+    rng, found = np.random.default_rng((seed, 6)), list[Mover]()
+    times = np.arange(0.0, target.duration, 0.05)
+    flown, early = target.position(times), times[times < until]
+    for attempt in range(ROUNDS):
+        for mover in _drawn(world, target, start, until, speed, (1.0 + attempt) * ASIDE, rng):
+            beside = mover.distances(early, np.broadcast_to(start, (len(early), 3))).min() > FIRST
+            if beside and mover.distances(times, flown).min() > APART:
+                found.append(mover)
+            if len(found) == count:
+                return tuple(found)
+    raise InputError(f"arena: world {world.name!r} has no place for {count} boxes that move; choose another --seed")
+
+
+def _drawn(
+    world: World,
+    target: Target,
+    start: Float[np.ndarray, "3"],
+    until: float,
+    speed: float,
+    aside: float,
+    rng: np.random.Generator,
+) -> list[Mover]:
+    """Boxes that touch nothing, so far [m] beside the ways to the target; arguments as ``traffic_in``."""
+    lower, upper = np.asarray(world.bounds, dtype=float)
     half, meeting = rng.uniform(*HALF, (TRIED, 3)), target.position(rng.uniform(until, until + AHEAD, TRIED))
     between = start + rng.uniform(0.2, 1.0, (TRIED, 1)) * (meeting - start)
-    middle = np.clip(between + rng.normal(scale=ASIDE, size=(TRIED, 3)), lower, upper)
+    middle = np.clip(between + rng.normal(scale=aside, size=(TRIED, 3)), lower, upper)
     course, climb = rng.uniform(0.0, 2.0 * np.pi, TRIED), rng.normal(scale=0.2, size=TRIED)
     way = np.stack([np.cos(course), np.sin(course), climb], axis=1)
     length, phase = rng.uniform(*SWING, TRIED), rng.uniform(0.0, 2.0 * np.pi, TRIED)
     swing = length[:, None] * way / np.linalg.norm(way, axis=1, keepdims=True)
     places = middle + np.linspace(-1.0, 1.0, 9)[:, None, None] * swing
     clear = (host_free_distance(world, places) > np.linalg.norm(half, axis=1)).all(axis=0)
-    times = np.arange(0.0, target.duration, 0.05)
-    flown, early = target.position(times), times[times < until]
-    found = []
-    for number in np.flatnonzero(clear):
-        mover = Mover(half[number], middle[number], swing[number], speed / float(length[number]), float(phase[number]))
-        beside = mover.distances(early, np.broadcast_to(start, (len(early), 3))).min() > FIRST
-        if beside and mover.distances(times, flown).min() > APART:
-            found.append(mover)
-        if len(found) == count:
-            return tuple(found)
-    raise InputError(f"arena: world {world.name!r} has no place for {count} boxes that move; choose another --seed")
+    return [
+        Mover(half[number], middle[number], swing[number], speed / float(length[number]), float(phase[number]))
+        for number in np.flatnonzero(clear)
+    ]

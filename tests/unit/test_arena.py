@@ -1,6 +1,7 @@
 """The arena: what its targets, sensors and contestants do, and what its report says of made-up rows."""
 
 import importlib.util
+import itertools
 
 import numpy as np
 import pytest
@@ -303,8 +304,8 @@ def test_the_picture_is_drawn(tmp_path) -> None:
 
 @pytest.mark.parametrize("family", ["moving", "moving-seen"])
 def test_what_moves_keeps_clear_of_walls_and_of_the_target(family: str) -> None:
-    for level, (count, speed) in zip(LEVELS, TRAFFIC, strict=True):
-        one = case(family, level, 1, seed=0)
+    for number, (level, (count, speed)) in itertools.product(range(3), zip(LEVELS, TRAFFIC, strict=True)):
+        one = case(family, level, number, seed=0)
         assert one.traffic is not None
         assert len(one.traffic.movers) == count
         times = np.arange(0.0, one.target.duration, 0.02)
