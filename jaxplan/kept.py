@@ -18,13 +18,17 @@ from typing import Any, NamedTuple, TypeVar
 
 import jax
 from jax import export
-from jax._src.export._export import _call_exported_lowering
 from jax.extend.core import Primitive
 from jax.interpreters import mlir
 
 from jaxplan import programs
 from jaxplan.closure import KEPT, Undecided, closure_digest, source_digest
 from jaxplan.versions import installed_versions
+
+try:  # what ``Exported.call`` is lowered by; a version of JAX without it traces as ever
+    from jax._src.export._export import _call_exported_lowering
+except ImportError:
+    _call_exported_lowering = None  # type: ignore[assignment]
 
 R = TypeVar("R")
 _ASIDE = ("compilation_cache", "persistent_cache", "dump", "log_", "logging", "traceback", "pprint")
@@ -42,7 +46,7 @@ def kept(function: Callable[..., R], static: int = 0) -> Callable[..., R]:
     """
     plain = jax.jit(function, static_argnums=tuple(range(static)))
     folder = programs.folder_in_use()
-    if folder is None:
+    if folder is None or _call_exported_lowering is None:
         return plain
 
     @functools.wraps(getattr(function, "func", function))  # of a partial: jax.jit calls it by that name, too
@@ -68,7 +72,8 @@ _inlined = Primitive("inlined")
 """What ``Exported.call`` does, but JAX ties the results of that to a device, and compiles what takes them once more."""
 _inlined.multiple_results = True
 _inlined.def_abstract_eval(lambda *leaves, exported: list(exported.out_avals))
-mlir.register_lowering(_inlined, _call_exported_lowering)
+if _call_exported_lowering is not None:
+    mlir.register_lowering(_inlined, _call_exported_lowering)
 
 
 class _Program(NamedTuple):

@@ -4,6 +4,7 @@ The planner's own stations are called one after the other, as ``jaxplan.planner.
 each has found out is drawn. It also prints the numbers that docs/concepts.md tells.
 """
 
+import inspect
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -68,13 +69,13 @@ def replan() -> Replan:
     """The cycle of an episode that begins ``FLOWN`` seconds after the departure."""
     scenario = build_scenario(EPISODE, exhaustive=True)
     planner, predictor = scenario.planner, scenario.predictor
-    parts: Parts = planner.plan_batch.args[0]  # what build_planner bound to it
+    parts: Parts = inspect.getclosurevars(planner.plan_batch).nonlocals["parts"]  # what build_planner bound to it
     first = planner.plan_batch(scenario.start, predictor(_seen(scenario, scenario.departure), 0))
     spline, now = first.spline(select(first)), scenario.departure + FLOWN
     state, flown = spline.state(FLOWN), np.asarray(spline.evaluate(np.linspace(0.0, FLOWN, 40)))[:, :3]
     observations = _seen(scenario, now)
     candidates = predictor(observations, 1)
-    table = reject(parts, state, table_of(candidates, parts.config.likelihood_weight))
+    table = reject(parts, state, table_of(candidates, parts.score(state, candidates, None)))
     rows = table.usable()
     table = bound(parts, state, knots(parts, search(parts, state, table, rows), rows), rows)
     plans = planner.plan_batch(state, candidates)
