@@ -19,7 +19,7 @@ import numpy as np
 
 from jaxplan import interception
 from jaxplan.config import InterceptConfig
-from jaxplan.planner import Planner, Rollout, Rollouts
+from jaxplan.planner import Planner, Rollout, RolloutConfig, Rollouts
 from jaxplan.scenario import Scenario, build_scenario
 from jaxplan.spline import FlatState
 
@@ -55,11 +55,16 @@ class _Watch:
         return timed
 
 
-class _Timed:
+class _Timed(Rollout):
     """A model whose flights are timed."""
 
     def __init__(self, model: Rollout, watch: _Watch) -> None:
-        self._model, self._watch, self.config = model, watch, model.config
+        self._model, self._watch = model, watch
+
+    @property
+    def config(self) -> RolloutConfig:
+        """As the model's."""
+        return self._model.config
 
     def along(self, references: FlatState, since: int = 0) -> Rollouts:
         """As the model's."""
