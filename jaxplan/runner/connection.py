@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from jaxplan.errors import InputError, ResourceError
@@ -15,6 +15,8 @@ LOOPBACK = "127.0.0.1"
 """Where a cluster of this machine listens: nobody else can reach it. It has no dashboard."""
 CONNECT_SECONDS = 8.0
 """How long a scheduler may take to answer."""
+RESTART_SECONDS = 60.0
+"""How long a worker that died may take to start again before its cluster is closed all the same."""
 
 
 @contextmanager
@@ -67,4 +69,8 @@ def connect(workers: int, scheduler: str | None, *, deaths: int = 0) -> "Iterato
         ) as cluster,
         Client(cluster) as client,
     ):
-        yield client
+        try:
+            yield client
+        finally:
+            with suppress(TimeoutError):  # a nanny that is starting its worker anew cannot be closed
+                client.wait_for_workers(workers, timeout=RESTART_SECONDS)
