@@ -60,7 +60,7 @@ class Config:
     planner: str = "mfrl"
     """Who allots the times."""
 
-    predictor: str = "constant-velocity"
+    predictor: str = "fused"
     """What predicts the target from what is seen; ground-truth sees no sensor."""
 
     vehicle: str = closed_loop.VEHICLE

@@ -165,18 +165,23 @@ class Replanner:
         )
 
     def _start(self, now: float, measured: Measured | None, ahead: Ahead | None) -> Start:
-        """Where the plans of this cycle begin, never before the newest plan has taken over."""
+        """Where the plans of this cycle begin, never before the newest plan has taken over.
+
+        A vehicle that is near its reference, and still will be then, or that finds back to it, is taken to be on it.
+        """
         takeover = max(now + self.latency, self.committed.start_time)
         then = self._committed.at(takeover)
         if measured is None:
             return Start(then, takeover, 0.0, False, 0.0)
         reference = self._committed.at(now)
         deviation = float(np.linalg.norm(measured.position - np.asarray(reference.pos)))
-        near = deviation <= self.config.replan_beyond
-        back = ahead is not None and _comes_back(ahead, self.config.stop_beyond)
-        if near or (deviation <= self.config.stop_beyond and (back or self._is_clear(now, deviation))):
-            return Start(then, takeover, deviation, False, 0.0)
         state = carried_on(measured, reference, then, takeover - now)
+        off = max(deviation, float(np.linalg.norm(np.asarray(state.pos) - np.asarray(then.pos))))
+        if off <= self.config.replan_beyond:
+            return Start(then, takeover, deviation, False, 0.0)
+        back = ahead is not None and _comes_back(ahead, self.config.stop_beyond)
+        if deviation == off <= self.config.stop_beyond and (back or self._is_clear(now, deviation)):
+            return Start(then, takeover, deviation, False, 0.0)
         return Start(state, takeover, deviation, True, self.config.wider_margin)
 
     def _is_clear(self, now: float, wider: float) -> bool:

@@ -31,8 +31,9 @@ class ReplannerConfig:
     reach: float = 0.36
     """And while the vehicle passes it no farther [m] than this: what counts as met is 0.4 m, and it strays."""
     replan_beyond: float = 0.5
-    """Farther [m] than this from its reference, the next plan begins where the vehicle is measured, unless the
-    committed one is clear by as much more: then the vehicle finds back to it."""
+    """Farther [m] than this from its reference, now or, as it moves, when the next plan takes over, that plan begins
+    where the vehicle is measured, unless it is coming nearer and the committed one is clear by as much more: then it
+    finds back to it."""
     stop_beyond: float = 0.8
     """Farther [m] than this, it stops from there first."""
     wider_margin: float = 0.05

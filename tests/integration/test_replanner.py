@@ -213,6 +213,16 @@ def test_a_vehicle_off_its_reference_plans_from_where_it_is(planner):
     assert after.deviation < 1e-9
 
 
+@pytest.mark.parametrize("faster", [0.0, 4.0])
+def test_a_vehicle_that_is_blown_away_is_planned_for_before_it_is_far_off(planner, faster):
+    """0.2 m beside its reference, and as much more as it moves until the next plan takes over."""
+    replanner, seen = flying(planner._replace(roll_out=lambda *_: None))
+    state, away = replanner.reference(np.array([0.8])), np.array([0.0, -1.0, 0.0])
+    cycle = replanner.step(0.8, seen, Measured(state.pos[0] + 0.2 * away, state.vel[0] + faster * away))
+    assert cycle.deviation == pytest.approx(0.2)
+    assert replanner.committed.from_measured == (faster > 0.0)
+
+
 def test_a_vehicle_far_off_stops_from_where_it_is_and_goes_on(planner):
     replanner, seen = flying(planner)
     off = np.array([0.0, 0.85, 0.2])
