@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from jaxplan.config import InterceptConfig
 from jaxplan.io.targets import Target, load_target
-from jaxplan.runtime import Phase, Runtime, Setpoint, from_config
+from jaxplan.runtime import Phase, Runtime, Setpoint, from_config, settle
 from jaxplan.spline import hover
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.host_distance import host_free_distance
@@ -83,6 +83,7 @@ def measure(seconds: float, kills: int, world: str, planner: Any, seed: int = 0)
     with Runtime(from_config(config), hover(np.asarray(load_world(world).start))) as runtime:
         began = time.monotonic()
         runtime.wait_ready()
+        settle()
         ready = time.monotonic() - began
         chase = Chase(runtime, target, world)
         _fly_for(chase, 5.0)

@@ -129,7 +129,7 @@ def live(
 
     from jaxplan.errors import InputError
     from jaxplan.mavlink import Endpoint, LiveFlight, StreamConfig, TargetVehicle
-    from jaxplan.runtime import Runtime, from_observed
+    from jaxplan.runtime import Runtime, from_observed, settle
     from jaxplan.scenario import start_of
 
     if target_link is None and target_system is None:
@@ -141,6 +141,7 @@ def live(
         other = None if target_link is None else stack.enter_context(Endpoint(target_link))
         runtime = stack.enter_context(Runtime(from_observed(config), start_of(config)))
         flight = LiveFlight(runtime)
+        settle()
         code = _run(link, flight, streaming, target, other)
         print(f"closest to the target: {flight.closest:.2f} m")
         return code

@@ -12,7 +12,7 @@ from jaxplan.config import InterceptConfig
 from jaxplan.interception.judging import flight_rows, measured_state, until_decided
 from jaxplan.interception.records import Episode, Flight, Progress, RealTime, tell_nobody
 from jaxplan.replanner import Measured
-from jaxplan.runtime import Runtime, RuntimeConfig, Setpoint, from_config
+from jaxplan.runtime import Runtime, RuntimeConfig, Setpoint, from_config, settle
 from jaxplan.scenario import Scenario, build_scenario
 from jaxplan.spline import FlatState
 from jaxplan.tracking.rates import CONTROL_RATE
@@ -45,6 +45,7 @@ def run_in_real_time(config: InterceptConfig, progress: Progress | None = None) 
         log = vehicle.fly(hover, hover)
         scenario.clearance(np.asarray(log.pos, dtype=float))
         runtime.wait_ready()
+        settle()
         return fly_in_real_time(scenario, runtime, report, warmup_s=time.perf_counter() - began)
 
 

@@ -6,6 +6,7 @@ in shared memory (``ring``, ``channel``, ``messages``); ``table`` and ``held`` a
 
 from jaxplan.runtime.build import from_config, from_observed
 from jaxplan.runtime.held import Setpoint
+from jaxplan.runtime.memory import settle
 from jaxplan.runtime.pilot import Runtime
 from jaxplan.runtime.records import Build, Built, Phase, RuntimeConfig, RuntimeStatus
 
@@ -19,4 +20,5 @@ __all__ = [
     "Setpoint",
     "from_config",
     "from_observed",
+    "settle",
 ]

@@ -6,10 +6,11 @@ import gc
 
 
 def settle() -> None:
-    """After the warm-up: collect, set aside all that stays, and give freed pages back to the system.
+    """Before the flight: collect, set aside all that stays, and give freed pages back to the system.
 
-    What is set aside is not looked through again, half a million objects of JAX: later collections take microseconds
-    instead of a third of a second, in which a plan would be late.
+    What is set aside is not looked through again, hundreds of thousands of objects of JAX: later collections take
+    microseconds instead of a third of a second, in which a plan or a setpoint would be late. The planner's process does
+    it after its warm-up; the process that asks for setpoints should, once it has imported and built what it needs.
     """
     gc.collect()
     gc.freeze()
