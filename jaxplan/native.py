@@ -16,6 +16,11 @@ inner = numba.njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_
 the time of the first compilation, and without reference counts (``_nrt``), which took 7 %: they make and keep no
 arrays. Each is compiled once per set of argument types, and a constant such as 0 is a type of its own."""
 
+summing = numba.njit(
+    nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"}, no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False
+)
+"""The same for long sums of products, which may be added up in any order: several at a time."""
+
 entry_point = numba.njit(cache=True, nogil=True, error_model="numpy")
 """Compiles functions that Python calls, and keeps them on disk."""
 
