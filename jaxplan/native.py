@@ -21,6 +21,10 @@ summing = numba.njit(
 )
 """The same for long sums of products, which may be added up in any order: several at a time."""
 
+within = numba.njit(inline="always")
+"""Puts functions into the one that calls them before that is compiled. Whatever is called from a compiled function is
+optimised with it once more, at each level: long functions with one caller each need not be levels of their own."""
+
 entry_point = numba.njit(cache=True, nogil=True, error_model="numpy")
 """Compiles functions that Python calls, and keeps them on disk."""
 

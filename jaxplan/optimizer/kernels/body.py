@@ -8,7 +8,7 @@ from how the axes turn.
 import math
 from typing import no_type_check
 
-from jaxplan.optimizer.kernels.compiled import inner
+from jaxplan.optimizer.kernels.compiled import inner, within
 from jaxplan.tracking.kernels.attitude import axes_along, cross, divided, dot, length, rates_of
 from jaxplan.tracking.kernels.step import against_drag, vector
 
@@ -20,52 +20,57 @@ NUMBERS = 13
 @no_type_check
 def demand(case, state, numbers):
     """Write the numbers of ``body_demand``; ``state`` is position to snap."""
-    craft, jerk, snap = case.craft, vector(state[3], 0), vector(state[4], 0)
-    force = state[2, 0], state[2, 1], state[2, 2] + craft.gravity
-    _aloft(case, force, jerk, snap, numbers, 0)
-    acc, jerk = against_drag(craft, state)
-    force = acc[0], acc[1], acc[2] + craft.gravity
-    _aloft(case, force, jerk, snap, numbers, 6)
-    across, square = cross(force, jerk), dot(force, force)
-    numbers[12] = divided(dot(across, across), square * square) / (case.turning * case.turning)
+    for drag in range(2):
+        force, jerk = _load(case, state, drag)
+        _aloft(case, force, jerk, vector(state[4], 0), numbers, 6 * drag)
+        if drag:
+            numbers[12] = _turning(case, force, jerk)
+
+
+@inner
+@no_type_check
+def _load(case, state, drag):
+    """Specific force and its rate, without drag or against it."""
+    acc, jerk = vector(state[2], 0), vector(state[3], 0)
+    if drag:
+        acc, jerk = against_drag(case.craft, state)
+    return (acc[0], acc[1], acc[2] + case.craft.gravity), jerk
 
 
 @inner
 @no_type_check
 def _aloft(case, force, jerk, snap, numbers, begin):
-    """Rotors, thrust and nose for a specific force."""
-    craft, inertia = case.craft, case.craft.inertia
+    """Write rotors, thrust and nose for a specific force; how it is flown: thrust, axes, rates and their change."""
+    inertia = case.craft.inertia
     thrust, axes = length(force), axes_along(force, case.yaw)
     rates, turning = rates_of(axes, thrust, jerk, snap, 0.0, 0.0)
     bias = cross(rates, (inertia[0] * rates[0], inertia[1] * rates[1], inertia[2] * rates[2]))
     moment = inertia[0] * turning[0] + bias[0], inertia[1] * turning[1] + bias[1], inertia[2] * turning[2] + bias[2]
-    for rotor in range(4):
-        numbers[begin + rotor] = _rotor(craft, rotor, moment, thrust)
+    _enter(case.mixer, numbers, begin, moment, thrust)
     numbers[begin + 4] = axes[2][2]
     numbers[begin + 5] = math.cos(case.yaw) * axes[0][0] + math.sin(case.yaw) * axes[0][1]
+    return thrust, axes, rates, turning
 
 
 @inner
 @no_type_check
-def _rotor(craft, rotor, moment, thrust):
+def _rotor(mixer, rotor, moment, thrust):
     """Squared speed of a rotor, as a share of the fastest; or its change with theirs."""
-    row = craft.mixer[rotor]
-    return (dot(row, moment) + row[3] * craft.mass * thrust) / (craft.fastest * craft.fastest)
+    row = mixer[rotor]
+    return dot(row, moment) + row[3] * thrust
 
 
 @inner
 @no_type_check
-def demand_slopes(case, state, slopes):
-    """Write the derivatives of ``demand`` by velocity to snap (4, 3), a column a number: ``slopes`` is (4, 3, 16)."""
-    craft, vel, acc, snap = case.craft, vector(state[1], 0), vector(state[2], 0), vector(state[4], 0)
-    force = acc[0], acc[1], acc[2] + craft.gravity
+def demand_slopes(case, state, numbers, slopes):
+    """The same with its derivatives by velocity to snap (4, 3), a column a number: ``slopes`` is (4, 3, 16)."""
     slopes[:] = 0.0
-    _aloft_slopes(case, force, vector(state[3], 0), snap, slopes, 0)
-    bare, jerk = against_drag(craft, state)
-    force = bare[0], bare[1], bare[2] + craft.gravity
-    _aloft_slopes(case, force, jerk, snap, slopes, 6)
-    _turning_slopes(case, force, jerk, slopes)
-    speed, share = length(vel), craft.drag / craft.mass
+    for drag in range(2):
+        force, jerk = _load(case, state, drag)
+        _aloft_slopes(case, force, jerk, vector(state[4], 0), numbers, slopes, 6 * drag)
+    _turning_slopes(case, force, jerk, numbers, slopes)
+    vel, acc, share = vector(state[1], 0), vector(state[2], 0), case.craft.drag / case.craft.mass
+    speed = length(vel)
     scale = divided(1.0, speed)
     along = scale * dot(vel, acc)
     ahead = scale * vel[0], scale * vel[1], scale * vel[2]
@@ -74,16 +79,24 @@ def demand_slopes(case, state, slopes):
         by_jerk = slopes[2, 0, number], slopes[2, 1, number], slopes[2, 2, number]
         f, g, a = dot(vel, by_force), dot(vel, by_jerk), dot(acc, by_jerk)
         for i in range(3):
-            bend = scale * (acc[i] - along * ahead[i]) * g
-            by_rate = ahead[i] * a + along * by_jerk[i] + bend
+            by_rate = ahead[i] * a + along * by_jerk[i] + scale * (acc[i] - along * ahead[i]) * g
             slopes[0, i, number] = share * (speed * by_force[i] + ahead[i] * f + by_rate)
             slopes[1, i, number] += share * (speed * by_jerk[i] + ahead[i] * g)
 
 
 @inner
 @no_type_check
-def _turning_slopes(case, force, jerk, slopes):
-    """Of the squared rate at which the thrust turns, by force and jerk."""
+def _turning(case, force, jerk):
+    """Squared rate at which the thrust turns, as a share of the fastest."""
+    across, square = cross(force, jerk), dot(force, force)
+    return divided(dot(across, across), square * square) / (case.turning * case.turning)
+
+
+@inner
+@no_type_check
+def _turning_slopes(case, force, jerk, numbers, slopes):
+    """The squared rate at which the thrust turns, and its derivatives by force and jerk."""
+    numbers[12] = _turning(case, force, jerk)
     across, square = cross(force, jerk), dot(force, force)
     scale = divided(1.0, square * square) / (case.turning * case.turning)
     by_force, by_jerk = cross(jerk, across), cross(across, force)
@@ -93,54 +106,54 @@ def _turning_slopes(case, force, jerk, slopes):
         slopes[2, i, 12] = 2.0 * scale * by_jerk[i]
 
 
-@inner
+@within
 @no_type_check
-def _aloft_slopes(case, force, jerk, snap, slopes, begin):
-    """Of ``_aloft``, by force, jerk and snap."""
-    thrust, axes = length(force), axes_along(force, case.yaw)
+def _aloft_slopes(case, force, jerk, snap, numbers, slopes, begin):
+    """Of ``_aloft``, by force, jerk and snap, one entry of them after another."""
+    thrust, axes, rates, turning = _aloft(case, force, jerk, snap, numbers, begin)
     x, y, z = axes
-    rates, turning = rates_of(axes, thrust, jerk, snap, 0.0, 0.0)
     heading = math.cos(case.yaw), math.sin(case.yaw), 0.0
     left = -heading[1], heading[0], 0.0
     stretch, slant = divided(1.0, thrust), divided(1.0, length(cross(left, z)))
-    for i in range(3):
-        e = (1.0 if i == 0 else 0.0), (1.0 if i == 1 else 0.0), (1.0 if i == 2 else 0.0)
-        dz = stretch * (e[0] - z[i] * z[0]), stretch * (e[1] - z[i] * z[1]), stretch * (e[2] - z[i] * z[2])
-        turned = cross(left, dz)
-        part = dot(x, turned)
-        dx = slant * (turned[0] - part * x[0]), slant * (turned[1] - part * x[1]), slant * (turned[2] - part * x[2])
-        one, other = cross(dz, x), cross(z, dx)
-        dy = one[0] + other[0], one[1] + other[1], one[2] + other[2]
-        jerks, snaps = (dot(dx, jerk), dot(dy, jerk), dot(dz, jerk)), (dot(dx, snap), dot(dy, snap))
-        moment = _moment_change(case.craft, axes, thrust, rates, turning, dot(z, jerk), z[i], jerks, snaps, dy[2], dz[2])
-        _enter(case.craft, slopes[1, i], begin, moment, z[i])
-        slopes[1, i, begin + 4], slopes[1, i, begin + 5] = dz[2], dot(heading, dx)
-        jerks = x[i], y[i], z[i]
-        moment = _moment_change(case.craft, axes, thrust, rates, turning, dot(z, jerk), 0.0, jerks, (0.0, 0.0), 0.0, 0.0)
-        _enter(case.craft, slopes[2, i], begin, moment, 0.0)
-        inertia, first, second = case.craft.inertia, -stretch * y[i], stretch * x[i]
-        moment = inertia[0] * first, inertia[1] * second, -inertia[2] * divided(y[2] * second, z[2])
-        _enter(case.craft, slopes[3, i], begin, moment, 0.0)
+    per, thrust_rate = (stretch, divided(1.0, z[2])), dot(z, jerk)
+    for entry in range(9):
+        i = entry % 3
+        dx = dy = dz = 0.0, 0.0, 0.0
+        dc, jerks, snaps = 0.0, (0.0, 0.0, 0.0), (x[i], y[i])
+        if entry < 3:
+            dz = stretch * ((i == 0) - z[i] * z[0]), stretch * ((i == 1) - z[i] * z[1]), stretch * ((i == 2) - z[i] * z[2])
+            turned = cross(left, dz)
+            part = dot(x, turned)
+            dx = slant * (turned[0] - part * x[0]), slant * (turned[1] - part * x[1]), slant * (turned[2] - part * x[2])
+            one, other = cross(dz, x), cross(z, dx)
+            dy = one[0] + other[0], one[1] + other[1], one[2] + other[2]
+            dc, jerks, snaps = z[i], (dot(dx, jerk), dot(dy, jerk), dot(dz, jerk)), (dot(dx, snap), dot(dy, snap))
+        elif entry < 6:
+            jerks, snaps = (x[i], y[i], z[i]), (0.0, 0.0)
+        moment = _moment_change(case.craft.inertia, axes, per, rates, turning, thrust_rate, dc, jerks, snaps, dy[2], dz[2])
+        row = slopes[1 + entry // 3, i]
+        _enter(case.mixer, row, begin, moment, dc)
+        row[begin + 4], row[begin + 5] = dz[2], dot(heading, dx)
 
 
 @inner
 @no_type_check
-def _enter(craft, row, begin, moment, thrust):
+def _enter(mixer, row, begin, moment, thrust):
     """The four rotors' part of a row."""
     for rotor in range(4):
-        row[begin + rotor] = _rotor(craft, rotor, moment, thrust)
+        row[begin + rotor] = _rotor(mixer, rotor, moment, thrust)
 
 
 @inner
 @no_type_check
-def _moment_change(craft, axes, thrust, rates, turning, thrust_rate, dc, jerks, snaps, dy3, dz3):
+def _moment_change(inertia, axes, per, rates, turning, thrust_rate, dc, jerks, snaps, dy3, dz3):
     """Change of the moment with thrust, parts of jerk and snap along the axes, and upward parts of b_y and b_z.
 
-    The derivative of ``attitude.rates_of`` with a held heading, term by term.
+    The derivative of ``attitude.rates_of`` with a held heading, term by term. ``per``: 1 over thrust and z of b_z.
     """
-    y3, z3, inertia = axes[1][2], axes[2][2], craft.inertia
+    y3, z3 = axes[1][2], axes[2][2]
     p, q, r = rates
-    per_thrust, per_up = divided(1.0, thrust), divided(1.0, z3)
+    per_thrust, per_up = per
     dp = -per_thrust * (jerks[1] + p * dc)
     dq = per_thrust * (jerks[0] - q * dc)
     dr = -per_up * (dy3 * q + y3 * dq + r * dz3)

@@ -14,6 +14,8 @@ class Case(NamedTuple):
     """What a descent needs beside its variables; SI units, world."""
 
     craft: Craft
+    mixer: Float[np.ndarray, "4 4"]
+    """From moment [N m] and specific thrust [m/s^2] to squared rotor speeds as shares of the largest."""
     solids: tuple
     """What is solid (``search.kernels.solids``)."""
     corners: tuple[float, float, float, float, float, float]
@@ -38,6 +40,11 @@ class Case(NamedTuple):
     turning: float
     """Fastest turn of the thrust [rad/s]; may be infinite."""
     tables: "Tables"
+
+
+def mixer_of(craft: Craft) -> Float[np.ndarray, "4 4"]:
+    """The mixer of a case."""
+    return craft.mixer * np.array([1.0, 1.0, 1.0, craft.mass]) / craft.fastest**2
 
 
 class Tables(NamedTuple):

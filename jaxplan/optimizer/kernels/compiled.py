@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from jaxplan.native import digest_of, entry_point, inner, summing
+from jaxplan.native import digest_of, entry_point, inner, summing, within
 from jaxplan.search.kernels import compiled as of_search
 from jaxplan.tracking.kernels import compiled as of_tracking
 
-__all__ = ["entry_point", "inner", "source_digest", "summing"]
+__all__ = ["entry_point", "inner", "source_digest", "summing", "within"]
 
 
 def source_digest() -> str:

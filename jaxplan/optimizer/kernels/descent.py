@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from jaxplan.optimizer.interior_point import DescentConfig
 from jaxplan.optimizer.kernels.case import Case
-from jaxplan.optimizer.kernels.compiled import entry_point, inner, source_digest
+from jaxplan.optimizer.kernels.compiled import entry_point, inner, source_digest, within
 from jaxplan.optimizer.kernels.margins import Work, look, make_work, set_up
 from jaxplan.optimizer.kernels.splines import shape
 
@@ -35,17 +35,17 @@ class Found(NamedTuple):
 def descend(case: Case, starts: Float[np.ndarray, "k v"], config: DescentConfig) -> Found:
     """A local minimum near the start that costs least: its time, and the penalty for its worst violation."""
     work = make_work(starts.shape[1] // 4, case.tables)
-    x, best = np.empty(starts.shape[1]), np.empty(starts.shape[1])
+    x = np.empty(starts.shape[1])
     pace = (float(config.barrier), float(config.last_barrier), float(config.rate))
     settings = (int(config.iterations), float(config.penalty), float(config.slack), *pace)
-    objective, least = _compiled()(case, np.array(starts, float, order="C"), settings, work, x, best)
+    objective, least = _compiled()(case, np.array(starts, float, order="C"), settings, work, x)
     return Found(x, objective, least, work.spline.durations, work.spline.coefficients)
 
 
 @runtime_checkable
 class _Descend(Protocol):
     def __call__(
-        self, case: Case, starts: np.ndarray, settings: tuple, work: Work, x: np.ndarray, best: np.ndarray
+        self, case: Case, starts: np.ndarray, settings: tuple, work: Work, x: np.ndarray
     ) -> tuple[float, float]:
         """Writes ``x`` and its spline; objective and least margin."""
 
@@ -56,40 +56,43 @@ def _compiled() -> _Descend:
 
     @entry_point
     @no_type_check
-    def entry(case, starts, settings, work, x, best):
+    def entry(case, starts, settings, work, x):
         _ = version
-        _choose(case, starts, settings[1], work, x)
-        time, least = _descend(case, settings, work, x, best)
+        time, least = _descend(case, starts, settings, work, x)
         shape(case, x, work.spline)
         return time, least
 
     return entry  # type: ignore[no-any-return]
 
 
-@inner
+@within
 @no_type_check
-def _choose(case, starts, penalty, work, x):
-    """Write the start that costs least; the first where none is finite."""
-    chosen, least_cost = 0, math.inf
-    for k in range(len(starts) if len(starts) > 1 else 0):
-        time, least, _ = look(case, starts[k], _AMPLE, work)
+def _choose(case, starts, settings, work, x):
+    """Write the start that costs least, the first where none is finite; the slack to begin with, and its logarithms."""
+    _, penalty, slack, _, _, _ = settings
+    least_cost, first, logs = math.inf, slack, 0.0
+    for k in range(len(starts) + 1):
+        again = k == len(starts)  # once more where it is descended from, with the slack that was found
+        time, least, total = look(case, x if again else starts[k], first if again else _AMPLE, work)
         cost = time + penalty * max(-least, 0.0)
-        if cost < least_cost:
-            chosen, least_cost = k, cost
-    for i in range(len(x)):
-        x[i] = starts[chosen, i]
+        if again:
+            logs = total
+        elif k == 0 or cost < least_cost:
+            least_cost, first = (cost if cost == cost else math.inf), slack + max(-least, 0.0)
+            for i in range(len(x)):
+                x[i] = starts[k, i]
+    return time, least, first, logs
 
 
-@inner
+@within
 @no_type_check
-def _descend(case, settings, work, x, best):
+def _descend(case, starts, settings, work, x):
     """The steps, in place; objective and least margin of where they end."""
-    iterations, penalty, slack, barrier, last_barrier, rate = settings
-    time, least, _ = look(case, x, _AMPLE, work)
-    slack, damping, direction = slack + max(-least, 0.0), 1e-2, work.direction
+    iterations, penalty, _, barrier, last_barrier, rate = settings
+    time, least, slack, logs = _choose(case, starts, settings, work, x)
+    damping, direction = 1e-2, work.direction
     for _ in range(iterations):
-        time, least, logs = look(case, x, slack, work)
-        here = merit = time + penalty * slack - barrier * (logs + math.log(slack))
+        merit = time + penalty * slack - barrier * (logs + math.log(slack))
         set_up(case, x, slack, barrier, penalty, damping, work)
         solve(work.system, direction)
         taken, share = -1, 1.0
@@ -97,13 +100,13 @@ def _descend(case, settings, work, x, best):
             if taken >= 0 and taken != turn - 1:
                 break
             for k in range(len(x)):
-                best[k] = x[k] + share * direction[k]
+                work.tried[k] = x[k] + share * direction[k]
             spare = slack + share * direction[len(x)]
             if spare > 0.0:
-                tried, worst, logs = look(case, best, spare, work)
-                cost = tried + penalty * spare - barrier * (logs + math.log(spare))
-                if logs > -math.inf and cost < merit:
-                    taken, merit, time, least = turn, cost, tried, worst
+                tried, worst, total = look(case, work.tried, spare, work)
+                cost = tried + penalty * spare - barrier * (total + math.log(spare))
+                if total > -math.inf and cost < merit:
+                    taken, merit, time, least, logs = turn, cost, tried, worst, total
             share *= 0.5
         if taken < 0:
             damping = min(damping * 10.0, 1e4)

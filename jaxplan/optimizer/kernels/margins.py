@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from jaxplan.optimizer.kernels.body import NUMBERS, demand, demand_slopes
 from jaxplan.optimizer.kernels.case import Tables
-from jaxplan.optimizer.kernels.compiled import inner, summing
+from jaxplan.optimizer.kernels.compiled import inner, summing, within
 from jaxplan.optimizer.kernels.splines import Spline, Tangents, differentiate, make_spline, make_tangents, shape
 from jaxplan.optimizer.margins import FARTHEST_STOP, LONGEST, PER_METRE, SHORTEST
 from jaxplan.search.kernels.slopes import clearance_slope
@@ -32,12 +32,11 @@ class Work(NamedTuple):
     state: Float[np.ndarray, "5 3"]
     """Position to snap at one instant."""
     numbers: Float[np.ndarray, "16"]
-    """Of the body."""
+    """Of the body, or of a place: the weights of its distances, then the sign of each axis."""
     moved: Float[np.ndarray, "5 w"]
     """``Tangents`` of one instant's state."""
     body: Float[np.ndarray, "4 3 16"]
-    place: Float[np.ndarray, "2 3 4"]
-    """Derivatives of what is looked at by the state."""
+    """Derivatives of the numbers by velocity to snap."""
     rows: Float[np.ndarray, "v+2 r"]
     """One segment's part: a row a variable, then what couples with the slack, then the pull."""
     sums: Float[np.ndarray, "v+2 v+2"]
@@ -45,13 +44,15 @@ class Work(NamedTuple):
     system: Float[np.ndarray, "v+1 v+1"]
     """Newton's matrix in the variables and the slack, then its factor."""
     direction: Float[np.ndarray, "v+1"]
+    tried: Float[np.ndarray, "v"]
+    """The variables at the end of a step."""
 
 
 def make_work(m: int, tables: Tables) -> Work:
     """For m segments (host)."""
     tangents, looks = make_tangents(m), WIDTH * len(tables.body) + 4 * len(tables.places)
-    shapes = (5, 3), (WIDTH,), (5, tangents.ends.shape[1]), (4, 3, WIDTH), (2, 3, 4), (4 * m + 2, -(-looks // 32) * 32)
-    sizes = (4 * m + 2, 4 * m + 2), (4 * m + 1, 4 * m + 1), (4 * m + 1,)
+    shapes = (5, 3), (WIDTH,), (5, tangents.ends.shape[1]), (4, 3, WIDTH), (4 * m + 2, -(-looks // 32) * 32)
+    sizes = (4 * m + 2, 4 * m + 2), (4 * m + 1, 4 * m + 1), (4 * m + 1,), (4 * m,)
     return Work(make_spline(m), tangents, *(np.zeros(size) for size in (*shapes, *sizes)))
 
 
@@ -170,11 +171,9 @@ def _bound(x, margin):
 @inner
 @no_type_check
 def set_up(case, x, slack, barrier, penalty, damping, work):
-    """Write Newton's system around ``x``, whose spline is in ``work``, and its right-hand side: minus the gradient."""
+    """Write Newton's system around ``x`` and its right-hand side: minus the gradient. All margins are above -slack."""
     v, m = len(x), len(work.spline.durations)
-    time = 0.0
-    for k in range(m - 1):
-        time += work.spline.durations[k]
+    time = shape(case, x, work.spline)
     differentiate(case, time, work.spline, work.tangents)
     work.sums[:] = 0.0
     total, pulled = 0.0, 0.0
@@ -220,14 +219,13 @@ def _enter_bound(x, margin, weight, pull, system, right):
             system[a, b] += weight * slope * ((slope if count == 1 else -2.0 * x[b] / size))
 
 
-@inner
+@within
 @no_type_check
 def _body_rows(case, i, s, slack, barrier, work):
     """The rows' columns of one look at the body; the sums of weights and pulls."""
     m, rows = len(work.spline.durations), work.rows
     _move(case.tables.body[s], work, i, case.dilation, 1, 5)
-    demand(case, work.state, work.numbers)
-    demand_slopes(case, work.state, work.body)
+    demand_slopes(case, work.state, work.numbers, work.body)
     total, pulled, begin = 0.0, 0.0, WIDTH * s
     for number in range(NUMBERS):
         one, other = _body_margins(case, number, work.numbers[number])
@@ -239,15 +237,15 @@ def _body_rows(case, i, s, slack, barrier, work):
         for order in range(4):
             for axis in range(3):
                 work.body[order, axis, number] *= root
-    _enter(work.body, work.moved[1:], m, begin, rows)
+    _enter(work.body, work.moved, m, begin, rows)
     return total, pulled
 
 
-@inner
+@within
 @no_type_check
 def _place_rows(case, i, s, slack, barrier, work):
     """The same of one look at obstacles and faces."""
-    m, rows, slopes, state = len(work.spline.durations), work.rows, work.place, work.state
+    m, rows, state, scales = len(work.spline.durations), work.rows, work.state, work.numbers
     _move(case.tables.places[s], work, i, 1.0, 0, 2)
     p, speed = state[0], _speed(state)
     keep = _keep(case, speed)
@@ -260,17 +258,38 @@ def _place_rows(case, i, s, slack, barrier, work):
         pull = barrier / (PER_METRE * (apart - keep) + slack)
         total, pulled, root = total + pull * pull / barrier, pulled + pull, pull / math.sqrt(barrier)
         rows[4 * m, begin + number], rows[4 * m + 1, begin + number] = root, math.sqrt(barrier)
-        scale = PER_METRE * root
-        for axis in range(3):
-            slope = away[axis] if number == 0 else 0.0
-            if number == axis + 1:
-                slope = -1.0 if p[axis] > 0.5 * (case.corners[axis] + case.corners[3 + axis]) else 1.0
-            slopes[0, axis, number], slopes[1, axis, number] = scale * slope, -scale * more * state[1, axis]
-    _enter(slopes, work.moved, m, begin, rows)
+        scales[number] = PER_METRE * root
+        if number > 0:
+            axis = number - 1
+            scales[4 + axis] = -1.0 if p[axis] > 0.5 * (case.corners[axis] + case.corners[3 + axis]) else 1.0
+    growth = more * state[1, 0], more * state[1, 1], more * state[1, 2]
+    _enter_place(away, growth, scales, work.moved, m, begin, rows)
     return total, pulled
 
 
 @inner
+@no_type_check
+def _enter_place(away, growth, scales, moved, m, begin, rows):
+    """The four columns of one place: away from the obstacle and from the nearer faces, less what speed asks for."""
+    u, v, w = scales[4], scales[5], scales[6]
+    for k in range(m):
+        row, x, y, z = rows[k], moved[0, k], moved[0, m + k], moved[0, 2 * m + k]
+        keep = growth[0] * moved[1, k] + growth[1] * moved[1, m + k] + growth[2] * moved[1, 2 * m + k]
+        row[begin] = scales[0] * (away[0] * x + away[1] * y + away[2] * z - keep)
+        row[begin + 1] = scales[1] * (u * x - keep)
+        row[begin + 2] = scales[2] * (v * y - keep)
+        row[begin + 3] = scales[3] * (w * z - keep)
+    for j in range(m):
+        place, speed = moved[0, 3 * m + j], moved[1, 3 * m + j]
+        for axis in range(3):
+            row, keep = rows[m + 3 * j + axis], growth[axis] * speed
+            row[begin] = scales[0] * (away[axis] * place - keep)
+            for other in range(3):
+                row[begin + 1 + other] = -scales[1 + other] * keep
+            row[begin + 1 + axis] += scales[1 + axis] * scales[4 + axis] * place
+
+
+@summing
 @no_type_check
 def _move(table, work, i, dilation, first, beyond):
     """One instant's state and its ``Tangents``; the segment's own duration also stretches time."""
@@ -280,10 +299,12 @@ def _move(table, work, i, dilation, first, beyond):
     for order in range(first, beyond):
         row = moved[order]
         row[:] = 0.0
-        for power in range(order, 10):
-            factor, source = scale * table[order, power], sources[power]
+        for power in range(0, 10, 5):
+            a, b, c, d, e = sources[power], sources[power + 1], sources[power + 2], sources[power + 3], sources[power + 4]
+            f, g, h = scale * table[order, power], scale * table[order, power + 1], scale * table[order, power + 2]
+            p, q = scale * table[order, power + 3], scale * table[order, power + 4]
             for column in range(len(row)):
-                row[column] += factor * source[column]
+                row[column] += f * a[column] + g * b[column] + h * c[column] + p * d[column] + q * e[column]
         for axis in range(3):
             value = row[4 * m + axis]
             work.state[order, axis] = value
@@ -291,27 +312,21 @@ def _move(table, work, i, dilation, first, beyond):
         scale *= rate
 
 
-@inner
+@summing
 @no_type_check
 def _enter(slopes, moved, m, begin, rows):
-    """From derivatives by the state to derivatives by the variables: some columns of all rows."""
-    orders, _, count = slopes.shape
-    for k in range(m):
-        row = rows[k, begin : begin + count]
+    """From derivatives by the state to derivatives by the variables: the columns of one look at the body."""
+    for k in range(4 * m):
+        row = rows[k, begin : begin + WIDTH]
         row[:] = 0.0
-        for order in range(orders):
-            for axis in range(3):
-                factor, slope = moved[order, axis * m + k], slopes[order, axis]
-                for number in range(count):
-                    row[number] += factor * slope[number]
-    for j in range(m):
         for axis in range(3):
-            row = rows[m + 3 * j + axis, begin : begin + count]
-            row[:] = 0.0
-            for order in range(orders):
-                factor, slope = moved[order, 3 * m + j], slopes[order, axis]
-                for number in range(count):
-                    row[number] += factor * slope[number]
+            if k >= m and (k - m) % 3 != axis:
+                continue
+            column = axis * m + k if k < m else 3 * m + (k - m) // 3
+            f, g, h, p = moved[1, column], moved[2, column], moved[3, column], moved[4, column]
+            a, b, c, d = slopes[0, axis], slopes[1, axis], slopes[2, axis], slopes[3, axis]
+            for number in range(WIDTH):
+                row[number] += f * a[number] + g * b[number] + h * c[number] + p * d[number]
 
 
 @summing

@@ -12,7 +12,7 @@ from typing import NamedTuple, no_type_check
 import numpy as np
 from jaxtyping import Float
 
-from jaxplan.optimizer.kernels.compiled import inner
+from jaxplan.optimizer.kernels.compiled import inner, summing, within
 
 
 class Spline(NamedTuple):
@@ -143,7 +143,7 @@ def _pull(energy, spline):
             force[row, axis] = -total
 
 
-@inner
+@summing
 @no_type_check
 def _solve(band, force, width):
     """Forward and back substitution of all columns, in place."""
@@ -185,7 +185,7 @@ def _write(basis, spline):
                 spline.coefficients[i, c, axis] = total + (knots[i, 0, axis] if c == 0 else 0.0)
 
 
-@inner
+@within
 @no_type_check
 def differentiate(case, time, spline, tangents):
     """Write the derivatives of a spline that was shaped, with its meeting at ``time`` [s]."""
@@ -243,7 +243,7 @@ def _move_ends(spline, i, tangents):
             right[axis * m + i] += l * power * spline.knots[i + 1, l, axis]
 
 
-@inner
+@summing
 @no_type_check
 def _move_coefficients(basis, spline, i, tangents):
     """Derivatives of the coefficients of segment i, and the coefficients themselves behind them."""
