@@ -17,7 +17,12 @@ the time of the first compilation, and without reference counts (``_nrt``), whic
 arrays. Each is compiled once per set of argument types, and a constant such as 0 is a type of its own."""
 
 summing = numba.njit(
-    nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"}, no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False
+    nogil=True,
+    error_model="numpy",
+    fastmath={"reassoc", "contract", "nsz"},
+    no_cpython_wrapper=True,
+    no_cfunc_wrapper=True,
+    _nrt=False,
 )
 """The same for long sums of products, which may be added up in any order: several at a time."""
 

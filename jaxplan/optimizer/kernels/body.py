@@ -121,7 +121,11 @@ def _aloft_slopes(case, force, jerk, snap, numbers, slopes, begin):
         dx = dy = dz = 0.0, 0.0, 0.0
         dc, jerks, snaps = 0.0, (0.0, 0.0, 0.0), (x[i], y[i])
         if entry < 3:
-            dz = stretch * ((i == 0) - z[i] * z[0]), stretch * ((i == 1) - z[i] * z[1]), stretch * ((i == 2) - z[i] * z[2])
+            dz = (
+                stretch * ((i == 0) - z[i] * z[0]),
+                stretch * ((i == 1) - z[i] * z[1]),
+                stretch * ((i == 2) - z[i] * z[2]),
+            )
             turned = cross(left, dz)
             part = dot(x, turned)
             dx = slant * (turned[0] - part * x[0]), slant * (turned[1] - part * x[1]), slant * (turned[2] - part * x[2])
@@ -130,7 +134,9 @@ def _aloft_slopes(case, force, jerk, snap, numbers, slopes, begin):
             dc, jerks, snaps = z[i], (dot(dx, jerk), dot(dy, jerk), dot(dz, jerk)), (dot(dx, snap), dot(dy, snap))
         elif entry < 6:
             jerks, snaps = (x[i], y[i], z[i]), (0.0, 0.0)
-        moment = _moment_change(case.craft.inertia, axes, per, rates, turning, thrust_rate, dc, jerks, snaps, dy[2], dz[2])
+        moment = _moment_change(
+            case.craft.inertia, axes, per, rates, turning, thrust_rate, dc, jerks, snaps, dy[2], dz[2]
+        )
         row = slopes[1 + entry // 3, i]
         _enter(case.mixer, row, begin, moment, dc)
         row[begin + 4], row[begin + 5] = dz[2], dot(heading, dx)

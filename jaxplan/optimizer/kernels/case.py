@@ -30,7 +30,8 @@ class Case(NamedTuple):
     velocity: Float[np.ndarray, "n 3"]
     meet_radius: float
     kept: tuple[float, float, float, float]
-    """The least distance [m], the speed [m/s] from which it is more, how much more [m per m/s], how much at most [m]."""
+    """The least distance [m], the speed [m/s] from which it is more, how much more [m per m/s], how much at
+    most [m]."""
     dilation: float
     """See ``optimizer.problem.Limits``."""
     upright: float
@@ -62,7 +63,9 @@ class Tables(NamedTuple):
 
 def make_tables(body_samples: int, place_samples: int) -> Tables:
     """For so many looks at the body and at obstacles in each segment, in the middles of even parts."""
-    return Tables(hermite.energy(4).copy(), hermite.coefficients(4).copy(), _table(body_samples, 5), _table(place_samples, 2))
+    return Tables(
+        hermite.energy(4).copy(), hermite.coefficients(4).copy(), _table(body_samples, 5), _table(place_samples, 2)
+    )
 
 
 def _table(count: int, orders: int) -> Float[np.ndarray, "{count} {orders} 10"]:

@@ -216,7 +216,7 @@ def _enter_bound(x, margin, weight, pull, system, right):
         system[v, a] += weight * slope
         right[a] += pull * slope
         for b in range(first, a + 1):
-            system[a, b] += weight * slope * ((slope if count == 1 else -2.0 * x[b] / size))
+            system[a, b] += weight * slope * (slope if count == 1 else -2.0 * x[b] / size)
 
 
 @within
@@ -300,7 +300,13 @@ def _move(table, work, i, dilation, first, beyond):
         row = moved[order]
         row[:] = 0.0
         for power in range(0, 10, 5):
-            a, b, c, d, e = sources[power], sources[power + 1], sources[power + 2], sources[power + 3], sources[power + 4]
+            a, b, c, d, e = (
+                sources[power],
+                sources[power + 1],
+                sources[power + 2],
+                sources[power + 3],
+                sources[power + 4],
+            )
             f, g, h = scale * table[order, power], scale * table[order, power + 1], scale * table[order, power + 2]
             p, q = scale * table[order, power + 3], scale * table[order, power + 4]
             for column in range(len(row)):

@@ -1,9 +1,9 @@
 """The minimum-snap spline of a problem's variables and its derivatives by them: ``optimizer.problem``, compiled.
 
 The unknown knot derivatives solve a system of bandwidth 7, the same for all axes (``minsnap.quadratic_program``). With
-q_k = T^(k - 7/2) a segment's energy is made of K_kl q_k q_l d_k d_l, which by log T is k + l - 7 times as much; so the
-derivatives of the knots are more right-hand sides of the same system. A waypoint acts on its own axis only, and on all
-axes alike: one column for each, where a duration has three.
+q_k = T^(k - 7/2) a segment's energy is made of terms K_kd q_k q_d x_k x_d, whose derivatives by log T are k + d - 7
+times as much; so the derivatives of the knots are more right-hand sides of the same system. A waypoint acts on its own
+axis only, and on all axes alike: one column for each, where a duration has three.
 """
 
 import math
@@ -33,8 +33,11 @@ class Spline(NamedTuple):
 
 
 class Tangents(NamedTuple):
-    """Room for the derivatives of a spline. Columns: the log of each duration, for each axis; then what moves points,
-    of any axis: the inner waypoints, the offset of the meeting, the stop; then the value itself, for each axis."""
+    """Room for the derivatives of a spline.
+
+    Columns: the log of each duration, for each axis; then what moves points, of any axis: the inner waypoints, the
+    offset of the meeting, the stop; then the value itself, for each axis.
+    """
 
     force: Float[np.ndarray, "u w"]
     """Right-hand sides, then the derivatives of the unknowns."""
@@ -113,12 +116,12 @@ def _factor(energy, spline):
             column = row - back
             if column < 0:
                 continue
-            l = column % 4
+            d = column % 4
             if column // 4 == n:
-                total = energy[6 + k, 6 + l] * q[n, k + 1] * q[n, l + 1]
-                total += energy[1 + k, 1 + l] * q[n + 1, k + 1] * q[n + 1, l + 1]
+                total = energy[6 + k, 6 + d] * q[n, k + 1] * q[n, d + 1]
+                total += energy[1 + k, 1 + d] * q[n + 1, k + 1] * q[n + 1, d + 1]
             elif column // 4 == n - 1:
-                total = energy[6 + k, 1 + l] * q[n, k + 1] * q[n, l + 1]
+                total = energy[6 + k, 1 + d] * q[n, k + 1] * q[n, d + 1]
             else:
                 total = 0.0
             for other in range(max(0, row - 7), column):
@@ -138,8 +141,8 @@ def _pull(energy, spline):
             behind = knots[n + 2, 0, axis] - knots[n + 1, 0, axis]
             total = energy[5 + k, 5] * q[n, k] * q[n, 0] * before + energy[k, 5] * q[n + 1, k] * q[n + 1, 0] * behind
             if n == 0:
-                for l in range(1, 5):
-                    total += energy[5 + k, l] * q[0, k] * q[0, l] * knots[0, l, axis]
+                for d in range(1, 5):
+                    total += energy[5 + k, d] * q[0, k] * q[0, d] * knots[0, d, axis]
             force[row, axis] = -total
 
 
@@ -179,9 +182,9 @@ def _write(basis, spline):
             step = knots[i + 1, 0, axis] - knots[i, 0, axis]
             for c in range(10):
                 total, power = basis[c, 5] * step, 1.0
-                for l in range(1, 5):
+                for d in range(1, 5):
                     power *= duration
-                    total += power * (basis[c, l] * knots[i, l, axis] + basis[c, 5 + l] * knots[i + 1, l, axis])
+                    total += power * (basis[c, d] * knots[i, d, axis] + basis[c, 5 + d] * knots[i + 1, d, axis])
                 spline.coefficients[i, c, axis] = total + (knots[i, 0, axis] if c == 0 else 0.0)
 
 
@@ -211,9 +214,9 @@ def _push(energy, spline, force):
             e = 5 + k if side == 0 else k
             for axis in range(3):
                 total = (k - 7.0) * energy[e, 5] * q[i, 0] * (knots[i + 1, 0, axis] - knots[i, 0, axis])
-                for l in range(1, 5):
-                    pull = energy[e, l] * knots[i, l, axis] + energy[e, 5 + l] * knots[i + 1, l, axis]
-                    total += (k + l - 7.0) * q[i, l] * pull
+                for d in range(1, 5):
+                    pull = energy[e, d] * knots[i, d, axis] + energy[e, 5 + d] * knots[i + 1, d, axis]
+                    total += (k + d - 7.0) * q[i, d] * pull
                 force[row, axis * m + i] = -q[i, k] * total
             by_step = energy[e, 5] * q[i, k] * q[i, 0]
             force[row, 3 * m + i] -= by_step
@@ -232,15 +235,15 @@ def _move_ends(spline, i, tangents):
     if i > 0:
         ends[0, 3 * m + i - 1], ends[5, 3 * m + i - 1] = 1.0, -1.0
     power = 1.0
-    for l in range(1, 5):
+    for d in range(1, 5):
         power *= duration
-        left, right = ends[l], ends[5 + l]
+        left, right = ends[d], ends[5 + d]
         for column in range(4 * m):
-            left[column] = power * force[4 * (i - 1) + l - 1, column] if i > 0 else 0.0
-            right[column] = power * force[4 * i + l - 1, column] if i < m - 1 else 0.0
+            left[column] = power * force[4 * (i - 1) + d - 1, column] if i > 0 else 0.0
+            right[column] = power * force[4 * i + d - 1, column] if i < m - 1 else 0.0
         for axis in range(3):
-            left[axis * m + i] += l * power * spline.knots[i, l, axis]
-            right[axis * m + i] += l * power * spline.knots[i + 1, l, axis]
+            left[axis * m + i] += d * power * spline.knots[i, d, axis]
+            right[axis * m + i] += d * power * spline.knots[i + 1, d, axis]
 
 
 @summing
@@ -252,8 +255,8 @@ def _move_coefficients(basis, spline, i, tangents):
         row = rows[c]
         for column in range(4 * m):
             row[column] = ends[0, column] if c == 0 else 0.0
-        for l in range(1, 10):
-            factor, end = basis[c, l], ends[l]
+        for d in range(1, 10):
+            factor, end = basis[c, d], ends[d]
             if factor != 0.0:
                 for column in range(4 * m):
                     row[column] += factor * end[column]

@@ -73,7 +73,11 @@ def _of_box(row, dx, dy, dz):
     else:
         a, b, c = (1.0, 0.0, 0.0) if a == most else (0.0, 1.0, 0.0) if b == most else (0.0, 0.0, 1.0)
     a, b, c = _unit(math.copysign(a, u), math.copysign(b, v), math.copysign(c, w))
-    return row[6] * a + row[7] * b + row[8] * c, row[9] * a + row[10] * b + row[11] * c, row[12] * a + row[13] * b + row[14] * c
+    return (
+        row[6] * a + row[7] * b + row[8] * c,
+        row[9] * a + row[10] * b + row[11] * c,
+        row[12] * a + row[13] * b + row[14] * c,
+    )
 
 
 @inner
