@@ -16,6 +16,20 @@ inner = numba.njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_
 the time of the first compilation, and without reference counts (``_nrt``), which took 7 %: they make and keep no
 arrays. Each is compiled once per set of argument types, and a constant such as 0 is a type of its own."""
 
+summing = numba.njit(
+    nogil=True,
+    error_model="numpy",
+    fastmath={"reassoc", "contract", "nsz"},
+    no_cpython_wrapper=True,
+    no_cfunc_wrapper=True,
+    _nrt=False,
+)
+"""The same for long sums of products, which may be added up in any order: several at a time."""
+
+within = numba.njit(inline="always")
+"""Puts functions into the one that calls them before that is compiled. Whatever is called from a compiled function is
+optimised with it once more, at each level: long functions with one caller each need not be levels of their own."""
+
 entry_point = numba.njit(cache=True, nogil=True, error_model="numpy")
 """Compiles functions that Python calls, and keeps them on disk."""
 

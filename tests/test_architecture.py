@@ -43,6 +43,8 @@ SIBLINGS = {
     ("files", "errors"),
     ("minsnap", "vehicle"),
     ("prediction", "search"),
+    ("optimizer", "search"),
+    ("optimizer", "tracking"),
     ("scenario", "io"),
     ("scenario", "replanner"),
     ("interception", "scenario"),

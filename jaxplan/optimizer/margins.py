@@ -20,6 +20,7 @@ from jaxplan.arrays import Scalar
 from jaxplan.numerics import safe_norm
 from jaxplan.optimizer.problem import Task, meeting_time, splines, unflatten
 from jaxplan.polynomials import derivative_table
+from jaxplan.search.kernels.solids import REACH
 from jaxplan.spline import FlatState
 from jaxplan.vehicle.flatness import against_drag, demand_of
 from jaxplan.vehicle.limits import effort_of
@@ -163,10 +164,14 @@ def _margins(
 
 
 def _free(world: World, place: Float[Array, "3"]) -> Float[Array, "4"]:
-    """Metres from a place to the nearest obstacle, and to the nearer face of the room along each axis."""
+    """Metres from a place to the nearest obstacle, and to the nearer face of the room along each axis.
+
+    An obstacle beyond ``REACH`` counts as that far.
+    """
     lower, upper = jnp.asarray(world.bounds, place.dtype)
     faces = 0.5 * (upper - lower) - jnp.abs(place - 0.5 * (lower + upper))
-    return jnp.concatenate([clearance(world, place)[None], faces])
+    nearest = jnp.minimum(clearance(world, place), REACH)
+    return jnp.concatenate([nearest[None], faces])
 
 
 def _samples(task: Task, x: Float[Array, "v k"]) -> _Samples:

@@ -21,7 +21,7 @@ from jaxplan.planner.border import usual_candidates, usual_spline, usual_state
 from jaxplan.planner.brake import brake, impact
 from jaxplan.planner.capture import prospect_of
 from jaxplan.planner.corrections import correct
-from jaxplan.planner.descent import compile_descent
+from jaxplan.planner.descent import build_descent
 from jaxplan.planner.fallbacks import Stops
 from jaxplan.planner.parts import Parts, Placing
 from jaxplan.planner.records import (
@@ -122,7 +122,7 @@ def build_planner(
     )
     lattices = build_lattices(world, options)
     stations = compile_stations(config, vehicle, policy, classifier)
-    descend = None if config.refinement is None else compile_descent(config.refinement, vehicle)
+    descend = None if config.refinement is None else build_descent(config.refinement, vehicle)
     begin = None if config.refinement is None or placing is None else _compiled(placing, config.refinement, vehicle)
     flyer = None if config.rollouts is None else build_flyer(config.rollouts, vehicle)
     room = _room(lattices, world)

@@ -15,17 +15,12 @@ from jaxplan.planner.border import usual_candidates, usual_state
 from jaxplan.planner.parts import Parts
 from jaxplan.planner.refined import Refined, RefinementConfig, Seed
 from jaxplan.planner.starts import Expected, placed_start, seed_start
-from jaxplan.planner.surroundings import surroundings
 from jaxplan.planner.validator import Fault, ValidatorConfig, validate
 from jaxplan.prediction.candidates import Candidates, mean_motion
 from jaxplan.records import replace
-from jaxplan.search.kernels.solids import Solids
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason
-from jaxplan.world.obstacles import World
 
-PLACES = 24
-"""Along the seed, around which the optimiser is told what is solid (arbitrary)."""
 ROWS = 48
 """Instants of the target's motion that the optimiser is told, evenly to the last candidates' (arbitrary)."""
 DESCENT = DescentConfig(barrier=3e-3, rate=0.75, slack=0.1)
@@ -60,13 +55,12 @@ def refine(
     if parts.placing is not None:
         starts.append(placed_start(*parts.placing, parts.room, state, seed, expected, offset, radius))
     descent = replace(DESCENT, iterations=config.iterations if iterations is None else iterations)
-    world, limits = _world(parts, seed), _limits(parts, state, radius, config)
+    limits = _limits(parts, state, radius, config)
     begin = np.concatenate([np.asarray(flatten(start)).T for start in starts])
-    found = parts.descend(world, state, target, limits, begin, descent)
-    time, spline = float(np.asarray(found.times)[0]), found.splines.spline(0)
+    time, least, spline = parts.descend(parts.room, state, target, limits, begin, descent)
     verdict = validate(spline, parts.room, parts.vehicle, parts.keep, _strict(parts, config), start=state)
     late = Reason.ALPHA_LT_1 if time > expected.horizon else Reason(0)
-    unkept = Reason(0) if float(np.asarray(found.least)[0]) >= -VIOLATION else Reason.LIMITS
+    unkept = Reason(0) if least >= -VIOLATION else Reason.LIMITS
     return Refined(
         spline=spline,
         goal=expected.at(time) + offset,
@@ -104,13 +98,6 @@ def _expected(candidates: Candidates) -> Expected | None:
     early = np.minimum(times - instants[0], 0.0)[:, None]
     position += early * (means[1] - means[0]) / (instants[1] - instants[0])
     return Expected(interval, position, np.interp(times, instants, spread))
-
-
-def _world(parts: Parts, seed: Seed) -> World:
-    """What is around the seed, without names, which would be part of what is compiled for."""
-    times = np.linspace(seed.since, max(seed.since, float(seed.spline.duration)), PLACES)
-    obstacles = surroundings(Solids(*parts.room.solids), np.asarray(seed.spline.evaluate(times))[:, :3])
-    return World(name="", bounds=parts.room.bounds, obstacles=obstacles, keep_in=np.asarray(parts.world.keep_in))
 
 
 def _limits(parts: Parts, state: FlatState, radius: float, config: RefinementConfig) -> Limits:

@@ -10,6 +10,7 @@ import pytest
 
 from jaxplan.compilation import compilations
 from jaxplan.errors import InputError
+from jaxplan.optimizer.kernels import descent
 from jaxplan.optimizer.margins import linearise, values
 from jaxplan.optimizer.problem import Limits, TargetTable, Task, Variables, flatten
 from jaxplan.planner import Fault, PlannerConfig, RefinementConfig, Seed, build_planner
@@ -121,6 +122,14 @@ def test_nothing_is_refined_where_nothing_can_be_gained(planner, seed):
     state = hover(START)
     turning = replace(state, yaw=np.array([0.0, 1.0, 0.0]))
     assert planner.refine(turning, expected(), seed) is None
+
+
+def test_a_planner_in_another_world_refines_without_compiling(planner, seed):
+    compiled, counted = compilations(), len(descent._compiled().signatures)
+    for name in ("env2", "env3"):
+        assert planner.in_world(load_world(name)).refine(hover(START), expected(), seed) is not None
+    assert compilations() == compiled
+    assert len(descent._compiled().signatures) == counted == 1
 
 
 @pytest.mark.parametrize(

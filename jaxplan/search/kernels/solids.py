@@ -156,9 +156,9 @@ def clearance_at(solids, x, y, z):
         n = members[at]
         least = min(least, to_primitive(kinds[n], numbers[n], x, y, z))
     if mesh.size > 0:
-        least = min(least, _to_grid(mesh, mesh_frame, x, y, z))
+        least = min(least, to_grid(mesh, mesh_frame, x, y, z))
     if voxels.size > 0:
-        least = min(least, _to_grid(voxels, voxels_frame, x, y, z))
+        least = min(least, to_grid(voxels, voxels_frame, x, y, z))
     return least
 
 
@@ -197,12 +197,12 @@ def to_primitive(kind, row, x, y, z):
 
 @inner
 @no_type_check
-def _to_grid(squared, frame, x, y, z):
+def to_grid(squared, frame, x, y, z):
     """Lower bound of the distance [m] by squared distances at nodes, never negative."""
     nx, ny, nz, ox, oy, oz, h = frame
-    i, u, du = _in_cell((x - ox) / h, nx)
-    j, v, dv = _in_cell((y - oy) / h, ny)
-    m, w, dw = _in_cell((z - oz) / h, nz)
+    i, u, du = in_cell((x - ox) / h, nx)
+    j, v, dv = in_cell((y - oy) / h, ny)
+    m, w, dw = in_cell((z - oz) / h, nz)
     low = (1.0 - v) * ((1.0 - w) * squared[i, j, m] + w * squared[i, j, m + 1]) + v * (
         (1.0 - w) * squared[i, j + 1, m] + w * squared[i, j + 1, m + 1]
     )
@@ -217,7 +217,7 @@ def _to_grid(squared, frame, x, y, z):
 
 @inner
 @no_type_check
-def _in_cell(steps, nodes):
+def in_cell(steps, nodes):
     """The cell between nodes along one axis, the fraction of it, and how far outside of all nodes, in cells."""
     held = min(max(steps, 0.0), nodes - 1.0)
     cell = min(int(held), nodes - 2)
