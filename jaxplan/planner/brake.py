@@ -150,10 +150,10 @@ def _straight(state: FlatState) -> _Ways:
 
 
 def _aside(state: FlatState) -> _Ways:
-    """From where the vehicle would evenly come to rest, so far in all directions."""
+    """From where the vehicle would evenly come to rest, so far towards the faces and edges of a cube."""
     grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    sizes = np.linalg.norm(grid, axis=1)
-    directions = grid[(sizes > 0.5) & (sizes < 1.6)] / sizes[(sizes > 0.5) & (sizes < 1.6), None]
+    directions = grid[np.isin(np.abs(grid).sum(axis=1), (1.0, 2.0))]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     lengths, times = np.array(ASIDE).T
     carried = 0.5 * times[:, None] * np.asarray(state.vel)
     ways = carried[:, None] + lengths[:, None, None] * directions

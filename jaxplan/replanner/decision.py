@@ -156,7 +156,7 @@ class Decision:
         known, ahead = self._known, self._known.ahead
         if ahead is None or known.start.measured or known.committed.status not in STOPPING:
             return False
-        clear = ahead.committed.clear[0] and (known.passing is None or known.passing.nearest >= known.passing.keep)
+        clear = ahead.committed.clear[0] and (known.passing is None or known.passing.is_kept)
         faults = self._planner.validate(known.committed.spline, known.since).faults
         return bool(clear and not faults & Fault.CLEARANCE and ahead.committed.astray[0] <= astray + NEARLY)
 

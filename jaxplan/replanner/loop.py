@@ -148,7 +148,7 @@ class Replanner:
         prospect = prospect_for(self.planner.config, candidates)
         passing = None if self._ways is None else Passing(self._ways, self._committed, now)
         certain = self._certain and (ahead is None or _comes_back(ahead, self.config.replan_beyond))
-        certain = certain and (passing is None or passing.nearest >= passing.keep)
+        certain = certain and (passing is None or passing.is_kept)
         known = Known(start, candidates, prospect, self.committed, certain, ahead, passing)
         decision = Decision(self.planner, self.config, self._pace, latency, known, timer)
         lost = start.deviation > self.config.stop_beyond

@@ -17,6 +17,10 @@ from jaxplan.replanner.committed import CommittedPlans
 from jaxplan.spline import PiecewisePolynomial
 from jaxplan.validation import as_shaped
 
+LESS = 0.1
+"""m; how much nearer a committed plan may come before it is given up: ways that are foreseen anew in each cycle are
+never quite the same (arbitrary)."""
+
 
 class Ways(NamedTuple):
     """Where boxes along the room's axes are expected. Beyond the last instant nothing is known of them."""
@@ -53,6 +57,11 @@ class Passing:
         """[m]"""
         self.nearest = float(self._apart(self._kept[None])[0])
         """Least distance [m] of what is committed already."""
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether what is committed is clear enough to be kept."""
+        return self.nearest >= self.keep - LESS
 
     def along(self, splines: SplineBatch | PiecewisePolynomial, takeover: float) -> Float[np.ndarray, "k"]:
         """The same for plans that take over at ``takeover`` [s]; until then what is committed is flown."""
