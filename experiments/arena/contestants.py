@@ -90,7 +90,9 @@ def contestant(name: str) -> Contestant:
     def build(scenario: Scenario, case: Case) -> Guide:
         own = dataclasses.replace(scenario, predictor=predictor_named(predictor, case))
         replanner = Replanner(own.planner, own.predictor, own.start, own.replanning)
-        return replanner if case.traffic is None else Warned(replanner, case.traffic, case.world)
+        if case.traffic is None:
+            return replanner
+        return Warned(replanner, case.traffic, case.world, float(scenario.vehicle.radius))
 
     return Contestant(build, planner)
 

@@ -4,7 +4,7 @@ A planner is told, in every cycle, of a still box for each that moves: what it w
 plan that is committed keeps clear of where they may be until then, and what is left of it is looked at again whenever
 they are told anew. Where a box's way is known the swept volume is that of its way; where only its places are seen, that
 of flying straight on, and wider. Who is about to be hit is told of a shorter while, so that a plan can begin where the
-vehicle is.
+vehicle is: where the boxes will be at which instant is told beside (``Replanner.expect``), so that it leaves in time.
 """
 
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from jaxtyping import Float
 from jaxplan.errors import InputError
 from jaxplan.io.targets import Target
 from jaxplan.prediction.observations import Observations
-from jaxplan.replanner import CommittedPlan, Cycle, Measured, Replanner
+from jaxplan.replanner import CommittedPlan, Cycle, Measured, Replanner, Ways
 from jaxplan.spline import FlatState
 from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.obstacles import World
@@ -37,8 +37,13 @@ ENOUGH = 1.0
 """s; what is told is told anew once it does not hold what is swept within that time any more."""
 FREE = 0.4
 """m that what is told must leave around the vehicle for plans to begin there."""
-NEAR = 6.0
-"""m from the vehicle, within which boxes are told."""
+FORESEEN, INSTANT = 1.8, 0.025
+"""s for which it is told where they will be when, and from one instant to the next."""
+NEAR = 27.0
+"""m from the vehicle, within which boxes are told: as far as it flies in that time at 15 m/s. At 12 m/s a stop takes
+7 m, and what was told from 6 m on only came too late."""
+STRAY = 0.15
+"""m that plans keep from that beyond the vehicle's radius."""
 BEFORE, WIDER = 0.1, 0.1
 """s since a box was seen before; and m by which what it sweeps is wider where its way is not known."""
 
@@ -80,21 +85,34 @@ class Traffic(NamedTuple):
 
     def swept(self, mover: Mover, now: float, seconds: float) -> Corners:
         """The box around what one of them sweeps within ``seconds``, as far as that is known ``now`` [s]."""
+        lower, upper = self._foreseen(mover, now, np.linspace(0.0, seconds, 32))
+        return lower.min(axis=0), upper.max(axis=0)
+
+    def ways(self, now: float, keep: float) -> Ways:
+        """Where all of them will be when, as far as that is known ``now`` [s]; plans are to ``keep`` so far [m]."""
+        ahead = INSTANT * np.arange(round(FORESEEN / INSTANT) + 1)
+        lower, upper = (
+            np.stack(part) for part in zip(*(self._foreseen(one, now, ahead) for one in self.movers), strict=True)
+        )
+        return Ways(now + ahead, lower, upper, keep)
+
+    def _foreseen(self, mover: Mover, now: float, ahead: Float[np.ndarray, "n"]) -> Corners:
+        """Lower and upper corners (n, 3) [m] of one of them so long [s] after ``now``."""
         if self.known:
-            way, wider = mover.positions(now + np.linspace(0.0, seconds, 32)), 0.0
+            way, wider = mover.positions(now + ahead), 0.0
         else:
             before, here = mover.positions(np.array([now - BEFORE, now]))
-            way, wider = here + np.array([[0.0], [seconds / BEFORE]]) * (here - before), WIDER
+            way, wider = here + ahead[:, None] / BEFORE * (here - before), WIDER
         reach = mover.half + wider
-        return way.min(axis=0) - reach, way.max(axis=0) + reach
+        return way - reach, way + reach
 
 
 class Warned:
     """A replanner that is told what will be swept; stands where a ``Replanner`` stands in an episode."""
 
-    def __init__(self, replanner: Replanner, traffic: Traffic, world: World) -> None:
-        """``world`` is the planner's room, whose last ``MOST`` boxes are spare."""
-        self._replanner, self._traffic, self._world = replanner, traffic, world
+    def __init__(self, replanner: Replanner, traffic: Traffic, world: World, radius: float) -> None:
+        """``world`` is the planner's room, whose last ``MOST`` boxes are spare; ``radius`` is the vehicle's [m]."""
+        self._replanner, self._traffic, self._world, self._keep = replanner, traffic, world, radius + STRAY
         self._first = len(world.boxes.center) - MOST
         self._told: list[Corners | None] = [None] * len(traffic.movers)
         self.changes = 0
@@ -122,8 +140,9 @@ class Warned:
             if told is not None:
                 change = update_world(self._world, move_box=(self._first + number, told))
                 self._world, self._told[number] = change.world, told
-                self._replanner.update(change)
+                self._replanner.update(change, moving=True)
                 self.changes += 1
+        self._replanner.expect(self._traffic.ways(now, self._keep))
         return self._replanner.step(now, observations, measured)
 
     def _to_tell(self, mover: Mover, told: Corners | None, now: float, here: Float[np.ndarray, "3"]) -> Corners | None:

@@ -5,7 +5,7 @@ candidates -> search -> knots -> policy <-> arrival -> minimum snap -> checks ->
 
 from jaxplan.planner.build import build_planner
 from jaxplan.planner.capture import CaptureConfig, Prospect, capture_time, capture_times, expected_goals
-from jaxplan.planner.fallbacks import HITS, Approaches, Corrections, Stops, select_approach, select_stop
+from jaxplan.planner.fallbacks import HITS, NEARLY, Approaches, Corrections, Stops, select_approach, select_stop
 from jaxplan.planner.records import Planner, PlannerConfig, Plans, prospect_for, select
 from jaxplan.planner.refined import Refined, RefinementConfig, Seed
 from jaxplan.planner.rollouts import Rollout, RolloutConfig, Rollouts, sampled
@@ -14,6 +14,7 @@ from jaxplan.planner.validator import Fault, Verdict
 
 __all__ = [
     "HITS",
+    "NEARLY",
     "Approaches",
     "CaptureConfig",
     "Corrections",

@@ -2,7 +2,8 @@
 
 A stop is a flight from the present state to rest, at one of several decelerations, straight on in one of several
 directions around that of the velocity, or along the committed plan, which is clear up to what is in its way. All are
-checked at once like any other plan, but for the deviation: there is no path to keep.
+checked at once like any other plan, but for the deviation: there is no path to keep. A slow vehicle that stands in the
+way of something steps aside.
 """
 
 from typing import NamedTuple
@@ -34,6 +35,10 @@ SHORTEST_TIMES = (0.4, 0.55, 0.75, 1.0, 1.5)
 """Of a stop [s] at each deceleration, for slow starts whose thrust points elsewhere (arbitrary)."""
 LEGS = (2, 3)
 """Of stops along a plan: the more, the nearer they keep to it and the more they turn (arbitrary)."""
+SLOW = 4.0
+"""m/s; up to which a vehicle steps aside."""
+ASIDE = ((0.4, 0.55), (0.8, 0.75), (1.5, 1.05), (2.5, 1.4))
+"""How far [m] and in what time [s] it does: from rest that takes 10 m/s^2."""
 
 
 class _Ways(NamedTuple):
@@ -46,7 +51,13 @@ class _Ways(NamedTuple):
     """Of the whole stop [s]."""
 
 
-def brake(parts: Parts, state: FlatState, along: PiecewisePolynomial | None = None, since: float = 0.0) -> Stops:
+def brake(
+    parts: Parts,
+    state: FlatState,
+    along: PiecewisePolynomial | None = None,
+    since: float = 0.0,
+    aside: bool = False,
+) -> Stops:
     """Stops from one state, each at a deceleration and in a direction of its own; bad arguments raise ``InputError``.
 
     Args:
@@ -54,13 +65,16 @@ def brake(parts: Parts, state: FlatState, along: PiecewisePolynomial | None = No
         state: where they begin.
         along: the plan that is flown; some stops go the way that it goes from ``since`` [s of its own time] on.
         since: when they begin.
+        aside: whether there are also steps aside, where the vehicle is slow.
     """
     state = usual_state(state)
-    waypoints, legs, times = ways = _straight(state)
+    every = [_straight(state)]
     if along is not None:
         plan, begin = usual_spline(along), as_number("brake: since", since)
-        every = [ways, *(_along(state, plan, begin, number) for number in LEGS)]
-        waypoints, legs, times = (np.concatenate(kind, axis=-1) for kind in zip(*every, strict=True))
+        every += [_along(state, plan, begin, number) for number in LEGS]
+    if aside and np.linalg.norm(np.asarray(state.vel)) <= SLOW:
+        every.append(_aside(state))
+    waypoints, legs, times = (np.concatenate(kind, axis=-1) for kind in zip(*every, strict=True))
     count, start = len(times), np.asarray(state.pos)[:, None]
     shares = np.linspace(0.0, 1.0, parts.config.knots.samples)[:, None, None]
     samples = start + shares * (waypoints[-1] - start)
@@ -132,9 +146,25 @@ def _straight(state: FlatState) -> _Ways:
     directions = np.stack([np.cos(heading) * np.cos(pitch), np.sin(heading) * np.cos(pitch), np.sin(pitch)], axis=1)
     times, lengths = _times_and_lengths(speed)
     ways = (carried + directions[:, None] * lengths[None, :, None]).reshape(-1, 3)
+    return _straight_ways(state, ways, np.tile(times, len(directions)))
+
+
+def _aside(state: FlatState) -> _Ways:
+    """From where the vehicle would evenly come to rest, so far towards the faces and edges of a cube."""
+    grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    directions = grid[np.isin(np.abs(grid).sum(axis=1), (1.0, 2.0))]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    lengths, times = np.array(ASIDE).T
+    carried = 0.5 * times[:, None] * np.asarray(state.vel)
+    ways = carried[:, None] + lengths[:, None, None] * directions
+    return _straight_ways(state, ways.reshape(-1, 3), np.repeat(times, len(directions)))
+
+
+def _straight_ways(state: FlatState, ways: Float[np.ndarray, "k 3"], times: Float[np.ndarray, "k"]) -> _Ways:
+    """To so far [m] from where the vehicle is, each in a time [s]."""
     waypoints = np.repeat((np.asarray(state.pos) + ways).T[None], MAX_WAYPOINTS, axis=0)
     waypoints[0] = np.asarray(state.pos)[:, None]
-    return _Ways(waypoints, np.ones(len(ways), np.int64), np.tile(times, len(directions)))
+    return _Ways(waypoints, np.ones(len(ways), np.int64), times)
 
 
 def _along(state: FlatState, plan: PiecewisePolynomial, since: float, legs: int) -> _Ways:

@@ -11,7 +11,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jaxplan.compilation import give_back_memory
 from jaxplan.errors import InputError
@@ -76,7 +76,7 @@ from jaxplan.tracking.rates import CONTROL_RATE
 from jaxplan.vehicle.identity import require_same_vehicle
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.obstacles import World
-from jaxplan.world.update import Change
+from jaxplan.world.update import Change, without_boxes
 
 PORTION = 3
 """Widths of candidates that get their waypoints at a time: of about so many one width may arrive in time (measured)."""
@@ -172,18 +172,32 @@ def _bound(kind: Any, function: Callable, parts: Parts) -> Any:
 def _in_world(parts: Parts, world: World) -> Planner:
     """A planner for another world; what is compiled without looking at the world is shared."""
     lattices = build_lattices(world, parts.lattices.config)
-    return _planner(parts._replace(lattices=lattices, world=_on_device(world), room=_room(lattices, world)))
+    room = _room(lattices, world)
+    return _planner(parts._replace(lattices=lattices, world=_on_device(world), room=room, moving=frozenset()))
 
 
-def _updated(parts: Parts, change: Change) -> Planner:
+def _updated(parts: Parts, change: Change, moving: bool = False) -> Planner:
     """A planner for the same world after a change; shapes stay, so all that is compiled is shared."""
     lattices, world = update_lattices(parts.lattices, change), change.world
-    return _planner(parts._replace(lattices=lattices, world=_on_device(world), room=_room(lattices, world)))
+    changed = frozenset(_changed_boxes(parts.world, world).tolist())
+    movers = parts.moving | changed if moving else parts.moving - changed
+    room = parts.room if moving else _room(lattices, world, movers)
+    return _planner(parts._replace(lattices=lattices, world=_on_device(world), room=room, moving=movers))
 
 
-def _room(lattices: Lattices, world: World) -> Room:
-    """The world for the last look at a plan; what is solid in it is known to a roadmap already."""
-    solids = tuple(solids_of(world)) if lattices.roadmap is None else lattices.roadmap.field.solids
+def _changed_boxes(before: World, after: World) -> Int[np.ndarray, "n"]:
+    """The numbers of the boxes that are not what they were."""
+    pairs = zip(jax.tree.leaves(before.boxes), jax.tree.leaves(after.boxes), strict=True)
+    differ = [(np.asarray(a) != np.asarray(b)).reshape(len(a), -1).any(axis=1) for a, b in pairs]
+    return np.flatnonzero(np.any(differ, axis=0))
+
+
+def _room(lattices: Lattices, world: World, moving: frozenset[int] = frozenset()) -> Room:
+    """The world for checks and the last look at a plan, but what moves; a roadmap knows what is solid already."""
+    if moving or lattices.roadmap is None:
+        solids = tuple(solids_of(without_boxes(world, moving)))
+    else:
+        solids = lattices.roadmap.field.solids
     return Room(solids, np.asarray(world.bounds, dtype=np.float64))
 
 

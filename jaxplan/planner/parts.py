@@ -68,7 +68,7 @@ class Parts(NamedTuple):
     lattices: Lattices
     world: World
     room: Room
-    """The same world for the last look at a plan."""
+    """The same world, but the boxes that stand for what moves, for checks and the last look at a plan."""
     vehicle: Vehicle
     descend: Descend | None = None
     """The compiled part of a refinement, where chosen plans are refined."""
@@ -76,6 +76,8 @@ class Parts(NamedTuple):
     """The policy that a refinement begins with; without one it begins with the chosen plan."""
     flyer: Flyer | None = None
     """The model in which plans are flown, where they are."""
+    moving: frozenset[int] = frozenset()
+    """Numbers of the boxes that stand for what moves: searches alone keep out of them."""
 
     @property
     def radius(self) -> float:

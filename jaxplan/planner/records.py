@@ -213,8 +213,13 @@ class Impact(Protocol):
 class Brake(Protocol):
     """Stops, for when the committed plan may not be flown any more and there is no other."""
 
-    def __call__(self, state: FlatState, along: PiecewisePolynomial | None = None, since: float = 0.0) -> Stops:
-        """As ``PlanBatch``; some stops go along a plan from ``since`` [s of its own time] on, where there is one."""
+    def __call__(
+        self, state: FlatState, along: PiecewisePolynomial | None = None, since: float = 0.0, aside: bool = False
+    ) -> Stops:
+        """As ``PlanBatch``; some stops go along a plan from ``since`` [s of its own time] on, where there is one.
+
+        With ``aside`` a slow vehicle also steps aside, in all directions.
+        """
 
 
 class RollOut(Protocol):
@@ -251,8 +256,11 @@ class InWorld(Protocol):
 class Update(Protocol):
     """The same planner after a change of its world (``jaxplan.world.update``)."""
 
-    def __call__(self, change: Change) -> "Planner":
-        """Patches the lattices around what changed; compiles nothing."""
+    def __call__(self, change: Change, moving: bool = False) -> "Planner":
+        """Patches the lattices around what changed; compiles nothing.
+
+        Boxes that stand for what is ``moving`` are kept out of by searches alone; ``Replanner.expect`` says the rest.
+        """
 
 
 class Planner(NamedTuple):

@@ -2,10 +2,12 @@
 
 ``loop`` goes round, cycle by cycle; ``decision`` chooses among what a cycle has planned; ``committed`` holds the plans
 and is the reference that the vehicle flies; ``incumbent`` says what the committed plan is still worth, ``measured``
-where the next plan begins if the vehicle is off its reference; ``records`` names what goes in and out.
+where the next plan begins if the vehicle is off its reference, ``passing`` what is kept from boxes that move;
+``records`` names what goes in and out.
 """
 
 from jaxplan.replanner.loop import Replanner
+from jaxplan.replanner.passing import Ways
 from jaxplan.replanner.records import CommittedPlan, Cycle, Measured, ReplannerConfig
 
-__all__ = ["CommittedPlan", "Cycle", "Measured", "Replanner", "ReplannerConfig"]
+__all__ = ["CommittedPlan", "Cycle", "Measured", "Replanner", "ReplannerConfig", "Ways"]

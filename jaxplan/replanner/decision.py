@@ -12,12 +12,15 @@ from jaxtyping import Float, Int
 
 from jaxplan.planner import (
     HITS,
+    NEARLY,
     Approaches,
     Corrections,
+    Fault,
     Planner,
     Plans,
     Prospect,
     Refined,
+    Rollouts,
     Seed,
     Stops,
     Timer,
@@ -27,6 +30,7 @@ from jaxplan.planner import (
     select_stop,
 )
 from jaxplan.prediction.candidates import Candidates
+from jaxplan.records import replace
 from jaxplan.replanner.ahead import Ahead
 from jaxplan.replanner.choice import (
     Chosen,
@@ -39,6 +43,7 @@ from jaxplan.replanner.choice import (
 )
 from jaxplan.replanner.incumbent import NO_INCUMBENT, Incumbent, incumbent_among
 from jaxplan.replanner.pace import Pace
+from jaxplan.replanner.passing import Passing
 from jaxplan.replanner.records import CommittedPlan, ReplannerConfig
 from jaxplan.spline import PiecewisePolynomial
 from jaxplan.status import PlanStatus, Reason
@@ -48,6 +53,8 @@ LOOKED_AT = 4
 APPROACHED = (0.5, 0.9, 1.4, 2.0)
 """Seconds from the start after which the target is expected where it is approached (arbitrary)."""
 
+STOPPING = (PlanStatus.BRAKE, PlanStatus.RECOVER, PlanStatus.BLOCKED)
+"""Committed plans that are stops."""
 FARTHER = 0.02
 """m; how much farther from obstacles the model must stay along a stop than along a committed plan that is clear itself
 (arbitrary)."""
@@ -83,6 +90,8 @@ class Known(NamedTuple):
     """Whether the committed plan is known to be clear, and the vehicle on it."""
     ahead: Ahead | None = None
     """The model of the vehicle, where it is measured."""
+    passing: Passing | None = None
+    """What moves, where that is known."""
 
     @property
     def since(self) -> float:
@@ -110,17 +119,46 @@ class Decision:
     def stop(self, status: PlanStatus) -> Outcome:
         """What ``select_stop`` takes; where none is clear, only if the committed plan hits harder, or goes nearer."""
         start, committed, ahead = self._known.start, self._known.committed, self._known.ahead
-        stops = self._planner.brake(start.state, committed.spline, self._known.since)
+        stops = self._planner.brake(start.state, committed.spline, self._known.since, aside=True)
         flown = None if ahead is None else ahead.along(stops.splines, start.takeover)
+        stops, flown = self._passed(stops, flown)
         best = select_stop(stops, flown)
         clear = best >= 0 and not stops.reasons[best] & np.uint32(HITS)
         if clear and (flown is None or flown.clear[best]):
-            return status, chosen_from(stops, best, np.nan)
+            kept = flown is not None and self._stops_as_well(float(flown.astray[best]))
+            return status, None if kept else chosen_from(stops, best, np.nan)
         hit = self._planner.impact(committed.spline, self._known.since)
         softer = best >= 0 and (stops.impact[best] < hit or (start.measured and stops.impact[best] == 0.0))
         if ahead is not None and flown is not None and hit == 0.0:
-            softer = best >= 0 and bool(flown.clearance[best] > ahead.committed.clearance[0] + FARTHER)
+            farther = float(ahead.committed.clearance[0])
+            if self._known.passing is not None:
+                farther = min(farther, self._known.passing.nearest)
+            softer = best >= 0 and bool(flown.clearance[best] > farther + FARTHER)
         return PlanStatus.BLOCKED, chosen_from(stops, best, np.nan) if softer else None
+
+    def _passed(self, stops: Stops, flown: Rollouts | None) -> tuple[Stops, Rollouts | None]:
+        """Stops, and their flights in the model, that are not clear where something that moves hits them."""
+        passing = self._known.passing
+        if passing is None:
+            return stops, flown
+        apart = passing.along(stops.splines, self._known.start.takeover)
+        good = apart >= passing.keep
+        stops = replace(stops, reasons=stops.reasons | np.where(good, np.uint32(0), np.uint32(Reason.CLEARANCE)))
+        if flown is not None:
+            flown = replace(flown, clear=flown.clear & good, clearance=np.minimum(flown.clearance, apart))
+        return stops, flown
+
+    def _stops_as_well(self, astray: float) -> bool:
+        """Whether what is committed is a stop that is clear, and followed hardly worse than another, so far [m].
+
+        Another one would only begin later.
+        """
+        known, ahead = self._known, self._known.ahead
+        if ahead is None or known.start.measured or known.committed.status not in STOPPING:
+            return False
+        clear = ahead.committed.clear[0] and (known.passing is None or known.passing.is_kept)
+        faults = self._planner.validate(known.committed.spline, known.since).faults
+        return bool(clear and not faults & Fault.CLEARANCE and ahead.committed.astray[0] <= astray + NEARLY)
 
     def _incumbent(self) -> Incumbent:
         """What the committed plan is worth; nothing where it is not clear, or the vehicle not on it."""
@@ -243,8 +281,10 @@ class Decision:
 
     def _passes(self, spline: PiecewisePolynomial) -> bool:
         """The last look at a plan, and its flight in the model."""
-        start, ahead = self._known.start, self._known.ahead
+        start, ahead, passing = self._known.start, self._known.ahead, self._known.passing
         if self._planner.validate(spline, 0.0, start.state, start.wider).faults:
+            return False
+        if passing is not None and not passing.along(spline, start.takeover)[0] >= passing.keep:
             return False
         if ahead is None:
             return True

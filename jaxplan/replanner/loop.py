@@ -30,6 +30,7 @@ from jaxplan.replanner.committed import CommittedPlans, hold
 from jaxplan.replanner.decision import Decision, Known
 from jaxplan.replanner.measured import carried_on, usual_measured
 from jaxplan.replanner.pace import Pace
+from jaxplan.replanner.passing import Passing, Ways, usual_ways
 from jaxplan.replanner.records import CommittedPlan, Cycle, Measured, ReplannerConfig
 from jaxplan.spline import FlatState
 from jaxplan.status import Note, PlanStatus, count_reasons
@@ -68,6 +69,7 @@ class Replanner:
         self._cycles = 0
         self._last = -np.inf
         self._certain = not isinstance(start, CommittedPlan)
+        self._ways: Ways | None = None
 
     @property
     def plans(self) -> list[CommittedPlan]:
@@ -100,13 +102,22 @@ class Replanner:
         """Drop the plans that were flown before this instant [s] only: a loop that never ends keeps its size."""
         self._committed.forget(before)
 
-    def update(self, change: Change) -> None:
+    def update(self, change: Change, moving: bool = False) -> None:
         """Plan in a changed world from the next cycle on, and look there whether the committed plan is still clear.
 
-        Where it is not it is no rival any more, and where no other plan is found the vehicle stops.
+        Where it is not it is no rival any more, and where no other plan is found the vehicle stops. A box that stands
+        for what something ``moving`` will sweep is kept out of by searches only: ``expect`` tells when it is where.
         """
-        self.planner = self.planner.update(change)
-        self._certain = False
+        self.planner = self.planner.update(change, moving)
+        self._certain = self._certain and moving
+
+    def expect(self, ways: Ways | None) -> None:
+        """From the next cycle on, keep clear of boxes that move, as far as it is known where they will be when.
+
+        What is committed is no rival any more where one of them hits it. Searches do not see them: ``update`` the map
+        with what will be swept soon. None: nothing moves. Raises ``InputError`` for what are no ways.
+        """
+        self._ways = None if ways is None else usual_ways(ways)
 
     def step(self, now: float, observations: Observations, measured: Measured | None = None) -> Cycle:
         """Predict, plan and decide at time ``now`` [s] from the newest observations.
@@ -135,8 +146,10 @@ class Replanner:
         timer.lap("predict", predicted)
         self._certain = not start.measured and (self._certain or self._is_clear(now, 0.0))
         prospect = prospect_for(self.planner.config, candidates)
+        passing = None if self._ways is None else Passing(self._ways, self._committed, now)
         certain = self._certain and (ahead is None or _comes_back(ahead, self.config.replan_beyond))
-        known = Known(start, candidates, prospect, self.committed, certain, ahead)
+        certain = certain and (passing is None or passing.is_kept)
+        known = Known(start, candidates, prospect, self.committed, certain, ahead, passing)
         decision = Decision(self.planner, self.config, self._pace, latency, known, timer)
         lost = start.deviation > self.config.stop_beyond
         above = np.inf if lost else decision.incumbent.score

@@ -9,24 +9,19 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int32
-from scipy.sparse import coo_array
 
 from jaxplan.search.components import join_components, label_components
 from jaxplan.search.kernels.graph import make_frame
 from jaxplan.search.kernels.places import REACH as PLACES_REACH
 from jaxplan.search.kernels.places import WIDE, places_of
-from jaxplan.search.kernels.roads import Box, Roads, join, touching
-from jaxplan.search.kernels.sight import HALF_DIAGONAL, Field, fill, paths_keep_clear
+from jaxplan.search.kernels.roads import NOWHERE, Roads, join, kept, linked
+from jaxplan.search.kernels.sight import HALF_DIAGONAL, Box, Field, fill
 from jaxplan.search.kernels.solids import REACH, solids_of
 from jaxplan.world.obstacles import World
 from jaxplan.world.occupancy import cell_centres, finest_shape
 
 TILE = 20
 """Cells of the finest lattice along a side of a tile (arbitrary)."""
-
-
-NOWHERE = np.full(3, 1e9), np.full(3, 1e9)
-"""A box that no road touches [m]."""
 
 _Places = tuple[Float[np.ndarray, "_ 3"], Float[np.ndarray, "_ 3"]]
 """Positions [m] and normals."""
@@ -111,9 +106,8 @@ def _changed_field(
     """Clearances after a change within a box [m], and whether there is any place with more than before."""
     solids, values = tuple(solids_of(world)), field.values.copy()
     begin, end = _cells(field, lower - REACH, upper + REACH)
-    fill(values, field.frame, solids, begin, end)
-    changed = tuple(slice(int(a), int(b)) for a, b in zip(begin, end, strict=True))
-    opens = bool((values[changed] > field.values[changed]).any())
+    changed = lower - 4.0 * field.shortfall, upper + 4.0 * field.shortfall
+    opens = fill(values, field.frame, solids, begin, end, changed)
     return Field(values, field.frame, field.shortfall, solids), opens
 
 
@@ -139,7 +133,7 @@ def _level(field: Field, room: Float[np.ndarray, "2 3"], limit: float, wider: Le
     shared = len(points) - int(tiles.sum())
     pairs = join(tuple(field), limit, points, normals, np.ones(len(points), dtype=bool), shared, (room[0], room[1]))
     labels = label_components(_open_cells(field, room, limit, (slice(None),) * 3))
-    return Level(limit, _roads(points, normals, pairs, wider), shared, tiles, labels)
+    return Level(limit, linked(points, normals, pairs, None if wider is None else wider.roads), shared, tiles, labels)
 
 
 def _places(
@@ -179,16 +173,15 @@ def _changed_level(
             numbers.append(old)
     points, normals, tiles = _numbered(parts, above)
     before, shared = np.concatenate(numbers), len(points) - int(tiles.sum())
-    near = box[0] - limit, box[1] + limit
-    pairs = _kept(level, before)
-    touched = touching(points, pairs, near)
-    held = np.zeros((0, 2), np.int32) if opens else _clear(field, limit, points, pairs[touched])
-    looked_at = near if opens else NOWHERE
-    fresh = join(tuple(field), limit, points, normals, before < 0, shared, looked_at)
-    pairs = np.concatenate([pairs[~touched], held, fresh])
+    near, now = (box[0] - limit, box[1] + limit), np.full(len(roads.points), -1, np.int32)
+    now[before[before >= 0]] = np.flatnonzero(before >= 0)
+    held = kept(roads, level.shared, now, tuple(field), limit, near, not opens)
+    fresh = join(tuple(field), limit, points, normals, before < 0, shared, near if opens else NOWHERE)
+    pairs = np.concatenate([held, fresh])
     window = tuple(slice(int(a), int(b)) for a, b in zip(*_cells(field, *near), strict=True))
     labels = join_components(level.components, _open_cells(field, room, limit, window), window)
-    return _Changed(Level(limit, _roads(points, normals, pairs, above), shared, tiles, labels), before)
+    linking = linked(points, normals, pairs, None if above is None else above.roads)
+    return _Changed(Level(limit, linking, shared, tiles, labels), before)
 
 
 def _open_cells(
@@ -214,24 +207,6 @@ def _same(known: _Places, found: _Places, numbers: Int[np.ndarray, "k"]) -> Int[
     return np.where(same.any(axis=1), numbers[same.argmax(axis=1)], -1)
 
 
-def _clear(
-    field: Field, limit: float, points: Float[np.ndarray, "n 3"], pairs: Int32[np.ndarray, "e 2"]
-) -> Int32[np.ndarray, "m 2"]:
-    """Those of the roads that keep their distance ``limit`` [m] from obstacles."""
-    return pairs[paths_keep_clear(field, limit, points[pairs], np.zeros(len(pairs), np.int64))]
-
-
-def _kept(level: Level, before: Int[np.ndarray, "n"]) -> Int32[np.ndarray, "e 2"]:
-    """A level's own roads between places that were there ``before``, renumbered."""
-    roads = level.roads
-    now = np.full(len(roads.points), -1, np.int32)
-    now[before[before >= 0]] = np.flatnonzero(before >= 0)
-    starts = np.repeat(np.arange(len(roads.points)), np.diff(roads.first))
-    begin, end = now[starts], now[roads.ends]
-    kept = (begin >= 0) & (end >= 0) & (starts < roads.ends) & (roads.ends >= level.shared)
-    return np.stack([begin, end], axis=1)[kept]
-
-
 def _numbered(
     parts: list[_Places], wider: Level | None
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Int[np.ndarray, "t"]]:
@@ -239,25 +214,6 @@ def _numbered(
     above = (np.zeros((0, 3)), np.zeros((0, 3))) if wider is None else (wider.roads.points, wider.roads.normals)
     points, normals = (np.concatenate([above[i], *(part[i] for part in parts)]) for i in range(2))
     return points, normals, np.array([len(part[0]) for part in parts])
-
-
-def _roads(
-    points: Float[np.ndarray, "n 3"],
-    normals: Float[np.ndarray, "n 3"],
-    pairs: Int32[np.ndarray, "e 2"],
-    wider: Level | None,
-) -> Roads:
-    """Roads in both directions, in order: these and those of the wider level."""
-    lengths = np.linalg.norm(points[pairs[:, 1]] - points[pairs[:, 0]], axis=1).astype(np.float32)
-    ends, lengths = np.concatenate([pairs, pairs[:, ::-1]]), np.tile(lengths, 2)
-    if wider is not None:
-        more = wider.roads
-        starts = np.repeat(np.arange(len(more.points), dtype=np.int32), np.diff(more.first))
-        ends = np.concatenate([ends, np.stack([starts, more.ends], axis=1)])
-        lengths = np.concatenate([lengths, more.lengths])
-    table = coo_array((lengths, ends.T), shape=(len(points), len(points))).tocsr()
-    table.sort_indices()
-    return Roads(points, normals, table.indptr.astype(np.int32), table.indices.astype(np.int32), table.data)
 
 
 def connected(

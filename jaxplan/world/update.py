@@ -4,6 +4,7 @@ Arrays keep their shapes and dtypes and everything static stays as it was, so th
 into slots that ``with_spare_boxes`` reserved. ``jaxplan.search.update`` brings the lattices up to date.
 """
 
+from collections.abc import Iterable
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -80,6 +81,13 @@ def update_world(
         return _set_occupied(world, *_corners(occupy), True)
     assert free is not None
     return _set_occupied(world, *_corners(free), False)
+
+
+def without_boxes(world: World, numbers: Iterable[int]) -> World:
+    """The world without some boxes of ``world.boxes``, whose slots are spare then."""
+    for number in numbers:
+        world = _place_box(world, number, np.full(3, -_ABSENT), np.full(3, 0.5))
+    return world
 
 
 def _add_box(world: World, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Change:

@@ -35,10 +35,15 @@ def towards_goal(observations, cycle):
     return candidates_from(GOAL, GOAL[None], np.array([max(3.6 - 0.1 * cycle, 0.5)]), np.zeros(1))
 
 
+def nowhere(observations, cycle):
+    """A goal that cannot be reached in time."""
+    return candidates_from(GOAL, GOAL[None], np.array([0.1]), np.zeros(1))
+
+
 def flown(planner, world, traffic, cycles=36):
     """Where the reference has been, and how often the planner was told something."""
     replanner = Replanner(planner, towards_goal, hover(START))
-    guide = Warned(replanner, traffic, world)
+    guide = Warned(replanner, traffic, world, float(load_vehicle().radius))
     for cycle in range(cycles):
         guide.step(0.1 * cycle, first_observation(0.1 * cycle, GOAL))
     times = np.arange(0.0, 0.1 * cycles, 0.01)
@@ -53,7 +58,7 @@ def crossing(phase):
 
 
 def test_plans_keep_clear_of_what_crosses_their_way(planner, world):
-    """Always where its way is known; where it is only seen, oftener than who is told nothing."""
+    """Whether its way is known or only seen; who is told nothing is hit."""
     radius, phases = float(load_vehicle().radius), (0.0, 1.6, 3.2, 4.7)
     touched = {"known": 0, "seen": 0, "nothing": 0}
     for phase in phases:
@@ -64,8 +69,22 @@ def test_plans_keep_clear_of_what_crosses_their_way(planner, world):
             touched[name] += real.distances(times, way).min() < radius
             assert (changes > 0) == (name != "nothing")
             assert np.linalg.norm(way[-1] - START) > 0.5
-    assert touched["known"] == 0
-    assert touched["seen"] < touched["nothing"]
+    assert touched["known"] == touched["seen"] == 0 < touched["nothing"]
+
+
+def test_who_stands_in_the_way_of_a_box_leaves_in_time(planner, world):
+    """Nothing can be met; boxes come across the place where the vehicle hovers, from all sides."""
+    radius, hovering = float(load_vehicle().radius), np.array([0.0, 0.0, 1.2])
+    for course in np.linspace(0.0, 2.0 * np.pi, 6, endpoint=False):
+        way = np.array([np.cos(course), np.sin(course), 0.0])
+        box = Mover(np.array([0.3, 0.3, 0.5]), hovering, 2.0 * way, 0.9, -0.5 * np.pi)
+        for known in (True, False):
+            traffic, times = Traffic((box,), known), np.arange(0.0, 4.0, 0.01)
+            guide = Warned(Replanner(planner, nowhere, hover(hovering)), traffic, world, radius)
+            for cycle in range(40):
+                guide.step(0.1 * cycle, first_observation(0.1 * cycle, GOAL))
+            assert traffic.distances(times, np.tile(hovering, (len(times), 1))).min() == 0.0
+            assert traffic.distances(times, guide.reference(times).pos).min() > radius
 
 
 def test_what_is_far_away_is_not_told(planner, world):

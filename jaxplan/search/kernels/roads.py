@@ -12,13 +12,15 @@ from jaxtyping import Bool, Float, Float32, Int32
 
 from jaxplan.search.kernels.cells import at, distance
 from jaxplan.search.kernels.compiled import entry_point, inner, source_digest
-from jaxplan.search.kernels.sight import keeps_clear
+from jaxplan.search.kernels.sight import Box, keeps_clear, keeps_clear_beside
 
 TANGENT = 0.45
 """Largest sine of the angle between a road and the surface at its ends: neighbouring places are up to ``places.TURN``
 apart, and off the surface."""
 
 
+NOWHERE: Box = np.full(3, 1e9), np.full(3, 1e9)
+"""A box that no road touches."""
 GROUP = 16
 """Places that are looked at together, to see whether roads from them can touch a box (arbitrary)."""
 
@@ -36,10 +38,6 @@ class Roads(NamedTuple):
     """Where they lead, ascending."""
     lengths: Float32[np.ndarray, "e"]
     """[m]"""
-
-
-Box = tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]
-"""Lower and upper corner [m]."""
 
 
 @runtime_checkable
@@ -77,11 +75,36 @@ def join(
     return _compiled_join()(field, float(limit), points, normals, fresh, own, *corners)
 
 
-def touching(points: Float[np.ndarray, "n 3"], pairs: Int32[np.ndarray, "e 2"], box: Box) -> Bool[np.ndarray, "e"]:
-    """Which segments between pairs of points [m] touch a box."""
-    found = np.zeros(len(pairs), dtype=bool)
-    _compiled_touching()(points, pairs, tuple(box[0].tolist()), tuple(box[1].tolist()), found)
-    return found
+def kept(
+    roads: Roads,
+    shared: int,
+    now: Int32[np.ndarray, "n"],
+    field: tuple,
+    limit: float,
+    box: Box,
+    again: bool,
+) -> Int32[np.ndarray, "m 2"]:
+    """Pairs of places that a road joined before and joins still, as they are numbered ``now`` (-1: not there any more).
+
+    One of the two is at least number ``shared`` before. Roads that touch the ``box`` [m] are looked at ``again``, or
+    left out.
+    """
+    corners = tuple(box[0].tolist()), tuple(box[1].tolist())
+    return _compiled_kept()(tuple(roads), shared, now, field, float(limit), *corners, again)
+
+
+def linked(
+    points: Float[np.ndarray, "n 3"],
+    normals: Float[np.ndarray, "n 3"],
+    pairs: Int32[np.ndarray, "e 2"],
+    wider: Roads | None,
+) -> Roads:
+    """Roads in both directions, in order: these, and those between the first places that a ``wider`` level has."""
+    if wider is None:
+        wider = Roads(points[:0], normals[:0], np.zeros(1, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))
+    elif len(points) == len(wider.points):  # no places of its own, so no roads
+        return wider
+    return Roads(points, normals, *_compiled_linked()(points, pairs, tuple(wider)))
 
 
 @functools.cache
@@ -103,18 +126,19 @@ def _compiled_join() -> _Join:
                 far = max(radii[g], radii[h])
                 if not (some_fresh[g] or some_fresh[h] or _touches(at(middles, g), at(middles, h), lower, upper, far)):
                     continue
+                likely = -1  # neighbours mostly stand behind the same thing
                 for u in range(g * GROUP, min((g + 1) * GROUP, n)):
                     a = at(points, u)
                     for v in range(max(u + 1, max(own, h * GROUP)), min((h + 1) * GROUP, n)):
                         b = at(points, v)
-                        if not (fresh[u] or fresh[v] or _touches(a, b, lower, upper, 0.0)):
+                        asked = _along_both(normals, u, v, a, b)
+                        if not asked or not (fresh[u] or fresh[v] or _touches(a, b, lower, upper, 0.0)):
                             continue
-                        if not _joined(field, limit, normals, u, v, a, b):
+                        clear, likely = keeps_clear_beside(field, limit, a, b, likely)
+                        if not clear:
                             continue
                         if total == len(pairs):
-                            wider = np.empty((2 * total, 2), np.int32)
-                            wider[:total] = pairs
-                            pairs = wider
+                            pairs = np.concatenate((pairs, pairs))
                         pairs[total, 0], pairs[total, 1] = u, v
                         total += 1
         return pairs[:total].copy()
@@ -123,42 +147,113 @@ def _compiled_join() -> _Join:
 
 
 @runtime_checkable
-class _Touching(Protocol):
-    """Which segments touch a box."""
+class _Kept(Protocol):
+    """Roads that are left."""
 
     def __call__(
         self,
-        points: Float[np.ndarray, "n 3"],
-        pairs: Int32[np.ndarray, "e 2"],
+        roads: tuple,
+        shared: int,
+        now: Int32[np.ndarray, "n"],
+        field: tuple,
+        limit: float,
         lower: tuple,
         upper: tuple,
-        found: Bool[np.ndarray, "e"],
-    ) -> None:
-        """Write ``found``."""
+        again: bool,
+    ) -> Int32[np.ndarray, "m 2"]:
+        """Pairs of places."""
 
 
 @functools.cache
-def _compiled_touching() -> _Touching:
+def _compiled_kept() -> _Kept:
     version = source_digest()
 
     @entry_point
     @no_type_check
-    def entry(points, pairs, lower, upper, found):
+    def entry(roads, shared, now, field, limit, lower, upper, again):
         _ = version
+        points, _, first, ends, _ = roads
+        pairs, total = np.empty((len(ends) // 2, 2), np.int32), 0
+        for u in range(len(points)):
+            if now[u] < 0:
+                continue
+            a = at(points, u)
+            for e in range(first[u], first[u + 1]):
+                v = ends[e]
+                if v <= u or v < shared or now[v] < 0:
+                    continue
+                b = at(points, v)
+                if _touches(a, b, lower, upper, 0.0) and not (again and keeps_clear(field, limit, a, b)):
+                    continue
+                pairs[total, 0], pairs[total, 1] = min(now[u], now[v]), max(now[u], now[v])
+                total += 1
+        return pairs[:total].copy()
+
+    return entry  # type: ignore[no-any-return]
+
+
+@runtime_checkable
+class _Linked(Protocol):
+    """Roads by place."""
+
+    def __call__(
+        self, points: Float[np.ndarray, "n 3"], pairs: Int32[np.ndarray, "e 2"], wider: tuple
+    ) -> tuple[Int32[np.ndarray, "ends"], Int32[np.ndarray, "m"], Float32[np.ndarray, "m"]]:
+        """The last three of ``Roads``."""
+
+
+@functools.cache
+def _compiled_linked() -> _Linked:
+    version = source_digest()
+
+    @entry_point
+    @no_type_check
+    def entry(points, pairs, wider):
+        _ = version
+        _, _, known, leads, apart = wider
+        first = np.zeros(len(points) + 1, np.int32)
+        for u in range(len(known) - 1):
+            first[u + 1] = known[u + 1] - known[u]
         for e in range(len(pairs)):
-            found[e] = _touches(at(points, pairs[e, 0]), at(points, pairs[e, 1]), lower, upper, 0.0)
+            first[pairs[e, 0] + 1] += 1
+            first[pairs[e, 1] + 1] += 1
+        for u in range(len(points)):
+            first[u + 1] += first[u]
+        ends, lengths, free = np.empty(first[-1], np.int32), np.empty(first[-1], np.float32), first[:-1].copy()
+        for u in range(len(known) - 1):
+            for e in range(known[u], known[u + 1]):
+                _put(ends, lengths, first, free, u, leads[e], apart[e])
+        for e in range(len(pairs)):
+            u, v = pairs[e, 0], pairs[e, 1]
+            length = np.float32(distance(at(points, u), at(points, v)))
+            _put(ends, lengths, first, free, u, v, length)
+            _put(ends, lengths, first, free, v, u, length)
+        return first, ends, lengths
 
     return entry  # type: ignore[no-any-return]
 
 
 @inner
 @no_type_check
-def _joined(field, limit, normals, u, v, a, b):
-    """Whether a road joins places ``u`` and ``v``, at a and b [m]."""
-    most = TANGENT * distance(a, b)
-    if not along_surface(normals, u, a, b, most) or not along_surface(normals, v, a, b, most):
-        return False
-    return keeps_clear(field, limit, a, b)
+def _put(ends, lengths, first, free, u, v, length):
+    """Enter a road from ``u`` to ``v`` behind those that lead to lower numbers: they come nearly in order."""
+    e = free[u]
+    free[u] += 1
+    while e > first[u] and ends[e - 1] > v:
+        ends[e], lengths[e] = ends[e - 1], lengths[e - 1]
+        e -= 1
+    ends[e], lengths[e] = v, length
+
+
+@inner
+@no_type_check
+def _along_both(normals, u, v, a, b):
+    """Whether a road between places ``u`` and ``v``, at a and b [m], would run along the surface at both."""
+    dx, dy, dz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    most = TANGENT * TANGENT * (dx * dx + dy * dy + dz * dz)
+    at_u = normals[u, 0] * dx + normals[u, 1] * dy + normals[u, 2] * dz
+    at_v = normals[v, 0] * dx + normals[v, 1] * dy + normals[v, 2] * dz
+    return at_u * at_u <= most and at_v * at_v <= most
 
 
 @inner

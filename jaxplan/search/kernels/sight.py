@@ -31,9 +31,15 @@ SLACK = 4e-4
 
 FEW = 64
 """Up to so many primitives are tested one by one."""
+ROUNDED = 1e-5
+"""m; by how much a stored clearance may differ from the exact one: it has single precision."""
 HALF_DIAGONAL = 0.5 * math.sqrt(3.0)
 """Of a cell with side 1."""
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+
+Box = tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]
+"""Lower and upper corner [m]."""
+EVERYWHERE: Box = np.full(3, -np.inf), np.full(3, np.inf)
 
 
 class Field(NamedTuple):
@@ -54,52 +60,73 @@ def keeps_clear(field, limit, a, b):
     """Whether all points of the segment a-b [m] keep the distance ``limit`` [m] from obstacles, if its ends do."""
     solids = field[3]
     few = len(solids[0]) <= FEW
-    if few and not _clear_of_primitives(solids, limit, a, b):
+    if few and blocking(solids, limit, a, b, -1) >= 0:
         return False
     return (few and solids[6].size == 0 and solids[8].size == 0) or _trace(field, limit, a, b)
 
 
 @inner
 @no_type_check
-def _clear_of_primitives(solids, limit, a, b):
-    """The same for each primitive on its own: its distance is a convex function along the segment.
+def keeps_clear_beside(field, limit, a, b, likely):
+    """The same, and the primitive that is too close, which is likely to be so for the next segment nearby."""
+    solids = field[3]
+    if len(solids[0]) > FEW:
+        return _trace(field, limit, a, b), likely
+    close = blocking(solids, limit, a, b, likely)
+    if close >= 0:
+        return False, close
+    return (solids[6].size == 0 and solids[8].size == 0) or _trace(field, limit, a, b), likely
+
+
+@inner
+@no_type_check
+def blocking(solids, limit, a, b, likely):
+    """A primitive to which a segment comes too close, -1 for none; the ``likely`` one is looked at first, if any."""
+    kinds, numbers, boxes = solids[0], solids[1], solids[2]
+    dx, dy, dz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    way = dx, dy, dz, _inverse(dx), _inverse(dy), _inverse(dz), length
+    fine = math.sqrt(8.0 * limit * MISSED) / max(length, 1e-9)
+    for turn in range(-1 if likely >= 0 else 0, len(kinds)):
+        n = likely if turn < 0 else turn
+        if _too_close(kinds[n], numbers[n], boxes[n], limit, a, way, fine):
+            return n
+    return -1
+
+
+@inner
+@no_type_check
+def _too_close(kind, row, box, limit, a, way, fine):
+    """Whether a segment from a comes too close to one primitive, whose distance is a convex function along it.
 
     Only where the segment is in the primitive's box, grown by the limit, can it be too close. Its least distance there
     is found by golden sections.
     """
-    kinds, numbers, boxes = solids[0], solids[1], solids[2]
-    dx, dy, dz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    length = math.sqrt(dx * dx + dy * dy + dz * dz)
-    least, fine = limit - SLACK, math.sqrt(8.0 * limit * MISSED) / max(length, 1e-9)
-    ix, iy, iz = _inverse(dx), _inverse(dy), _inverse(dz)
-    for n in range(len(kinds)):
-        box = boxes[n]
-        low, high = (box[0] - limit - a[0]) * ix, (box[3] + limit - a[0]) * ix
-        begin, end = max(0.0, min(low, high)), min(1.0, max(low, high))
-        low, high = (box[1] - limit - a[1]) * iy, (box[4] + limit - a[1]) * iy
-        begin, end = max(begin, min(low, high)), min(end, max(low, high))
-        low, high = (box[2] - limit - a[2]) * iz, (box[5] + limit - a[2]) * iz
-        begin, end = max(begin, min(low, high)), min(end, max(low, high))
-        if begin > end:
-            continue
-        kind, row = kinds[n], numbers[n]
-        s, t = end - GOLDEN * (end - begin), begin + GOLDEN * (end - begin)
-        at_s = to_primitive(kind, row, a[0] + s * dx, a[1] + s * dy, a[2] + s * dz)
-        at_t = to_primitive(kind, row, a[0] + t * dx, a[1] + t * dy, a[2] + t * dz)
-        while at_s >= least and at_t >= least and end - begin > fine:
-            if (at_s + at_t - (t - s + 2.0 * (end - t)) * length) * 0.5 >= least:
-                break
-            if at_s < at_t:
-                end, t, at_t = t, s, at_s
-                s = end - GOLDEN * (end - begin)
-                at_s = to_primitive(kind, row, a[0] + s * dx, a[1] + s * dy, a[2] + s * dz)
-            else:
-                begin, s, at_s = s, t, at_t
-                t = begin + GOLDEN * (end - begin)
-                at_t = to_primitive(kind, row, a[0] + t * dx, a[1] + t * dy, a[2] + t * dz)
-        if not (at_s >= least and at_t >= least):
-            return False
-    return True
+    dx, dy, dz, ix, iy, iz, length = way
+    low, high = (box[0] - limit - a[0]) * ix, (box[3] + limit - a[0]) * ix
+    begin, end = max(0.0, min(low, high)), min(1.0, max(low, high))
+    low, high = (box[1] - limit - a[1]) * iy, (box[4] + limit - a[1]) * iy
+    begin, end = max(begin, min(low, high)), min(end, max(low, high))
+    low, high = (box[2] - limit - a[2]) * iz, (box[5] + limit - a[2]) * iz
+    begin, end = max(begin, min(low, high)), min(end, max(low, high))
+    if begin > end:
+        return False
+    least = limit - SLACK
+    s, t = end - GOLDEN * (end - begin), begin + GOLDEN * (end - begin)
+    at_s = to_primitive(kind, row, a[0] + s * dx, a[1] + s * dy, a[2] + s * dz)
+    at_t = to_primitive(kind, row, a[0] + t * dx, a[1] + t * dy, a[2] + t * dz)
+    while at_s >= least and at_t >= least and end - begin > fine:
+        if (at_s + at_t - (t - s + 2.0 * (end - t)) * length) * 0.5 >= least:
+            break
+        if at_s < at_t:
+            end, t, at_t = t, s, at_s
+            s = end - GOLDEN * (end - begin)
+            at_s = to_primitive(kind, row, a[0] + s * dx, a[1] + s * dy, a[2] + s * dz)
+        else:
+            begin, s, at_s = s, t, at_t
+            t = begin + GOLDEN * (end - begin)
+            at_t = to_primitive(kind, row, a[0] + t * dx, a[1] + t * dy, a[2] + t * dz)
+    return not (at_s >= least and at_t >= least)
 
 
 @inner
@@ -150,9 +177,16 @@ class _Fill(Protocol):
     """Clearances of a part of a lattice."""
 
     def __call__(
-        self, values: Float32[np.ndarray, "nx ny nz"], frame: tuple, solids: tuple, begin: tuple, end: tuple
-    ) -> None:
-        """Write ``values`` [m] of the cells from ``begin`` to ``end``."""
+        self,
+        values: Float32[np.ndarray, "nx ny nz"],
+        frame: tuple,
+        solids: tuple,
+        begin: tuple,
+        end: tuple,
+        lower: tuple,
+        upper: tuple,
+    ) -> bool:
+        """Write ``values`` [m] of the cells from ``begin`` to ``end``; whether any grew."""
 
 
 def fill(
@@ -161,9 +195,14 @@ def fill(
     solids: tuple,
     begin: Int[np.ndarray, "3"],
     end: Int[np.ndarray, "3"],
-) -> None:
-    """Write the clearances [m] at the centres of the cells from ``begin`` to ``end``."""
-    _compiled_fill()(values, frame, solids, tuple(begin.tolist()), tuple(end.tolist()))
+    changed: Box = EVERYWHERE,
+) -> bool:
+    """Write the clearances [m] at the centres of the cells from ``begin`` to ``end``; whether any is more than before.
+
+    Obstacles have changed in a box [m] only: farther from it than a clearance was it stays what it was.
+    """
+    corners = tuple(changed[0].tolist()), tuple(changed[1].tolist())
+    return _compiled_fill()(values, frame, solids, tuple(begin.tolist()), tuple(end.tolist()), *corners)
 
 
 @functools.cache
@@ -172,13 +211,26 @@ def _compiled_fill() -> _Fill:
 
     @entry_point
     @no_type_check
-    def entry(values, frame, solids, begin, end):
+    def entry(values, frame, solids, begin, end, lower, upper):
         _ = version
         _, _, _, ox, oy, oz, h = frame
+        more = False
         for i in range(begin[0], end[0]):
+            x = ox + (i + 0.5) * h
+            dx = max(lower[0] - x, max(x - upper[0], 0.0))
             for j in range(begin[1], end[1]):
+                y = oy + (j + 0.5) * h
+                dy = max(lower[1] - y, max(y - upper[1], 0.0))
                 for m in range(begin[2], end[2]):
-                    values[i, j, m] = clearance_at(solids, ox + (i + 0.5) * h, oy + (j + 0.5) * h, oz + (m + 0.5) * h)
+                    z = oz + (m + 0.5) * h
+                    dz = max(lower[2] - z, max(z - upper[2], 0.0))
+                    before = max(values[i, j, m], 0.0) + ROUNDED
+                    if dx * dx + dy * dy + dz * dz > before * before:
+                        continue
+                    value = np.float32(clearance_at(solids, x, y, z))
+                    more |= value > values[i, j, m]
+                    values[i, j, m] = value
+        return more
 
     return entry  # type: ignore[no-any-return]
 

@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol, no_type_check, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Float32, Int8, Int32
 
-from jaxplan.search.kernels.cells import index
+from jaxplan.search.kernels.cells import centre_of, flat, index
 from jaxplan.search.kernels.compiled import entry_point, inner, source_digest
 from jaxplan.search.kernels.graph import Frame, make_frame
 from jaxplan.world.obstacles import DistanceGrid, Mesh, World
@@ -20,6 +20,8 @@ REACH = 1.5
 """m; larger distances count as this one (arbitrary: three times the paper's padding)."""
 BIN = 1.0
 """m; side of the bins (arbitrary)."""
+NEAR = 0.5 * math.sqrt(3.0)
+"""From the middle of a bin to its corners, as a share of its side."""
 BOX, CYLINDER, PLANE, SPHERE, CAPSULE = range(5)
 
 
@@ -52,10 +54,9 @@ def solids_of(world: World) -> Solids:
     kinds, numbers = _primitives(world)
     lower, upper = np.asarray(world.bounds, dtype=np.float64)
     bins = make_frame(tuple(np.ceil((upper - lower) / BIN).astype(int).tolist()), lower, BIN)
-    first, members = _compiled_bins()(kinds, numbers, tuple(bins))
-    return Solids(
-        kinds, numbers, _boxes(kinds, numbers), first, members, tuple(bins), *_nodes(world.mesh), *_nodes(world.voxels)
-    )
+    boxes = _boxes(kinds, numbers)
+    first, members = _compiled_bins()(kinds, numbers, boxes, tuple(bins))
+    return Solids(kinds, numbers, boxes, first, members, tuple(bins), *_nodes(world.mesh), *_nodes(world.voxels))
 
 
 def _primitives(world: World) -> tuple[Int8[np.ndarray, "n"], Float[np.ndarray, "n 16"]]:
@@ -107,7 +108,11 @@ class _Bins(Protocol):
     """Which primitives are near each bin."""
 
     def __call__(
-        self, kinds: Int8[np.ndarray, "n"], numbers: Float[np.ndarray, "n 16"], bins: tuple
+        self,
+        kinds: Int8[np.ndarray, "n"],
+        numbers: Float[np.ndarray, "n 16"],
+        boxes: Float[np.ndarray, "n 6"],
+        bins: tuple,
     ) -> tuple[Int32[np.ndarray, "b"], Int32[np.ndarray, "m"]]:
         """``first`` and ``members`` of ``Solids``."""
 
@@ -118,30 +123,50 @@ def _compiled_bins() -> _Bins:
 
     @entry_point
     @no_type_check
-    def entry(kinds, numbers, bins):
+    def entry(kinds, numbers, boxes, bins):
         _ = version
         frame = Frame(*bins)
-        count = frame.nx * frame.ny * frame.nz
-        first = np.zeros(count + 1, np.int32)
-        near = REACH + 0.5 * math.sqrt(3.0) * frame.h
+        first, members = np.zeros(frame.nx * frame.ny * frame.nz + 1, np.int32), np.empty(0, np.int32)
+        free = first
         for turn in range(2):  # count, then write
-            members = np.empty(first[count] if turn else 0, np.int32)
-            total = 0
-            for b in range(count):
-                row = b // frame.nz
-                x = frame.x + (row // frame.ny + 0.5) * frame.h
-                y = frame.y + (row % frame.ny + 0.5) * frame.h
-                z = frame.z + (b - row * frame.nz + 0.5) * frame.h
-                first[b] = total
-                for n in range(len(kinds)):
-                    if to_primitive(kinds[n], numbers[n], x, y, z) <= near:
-                        if turn:
-                            members[total] = n
-                        total += 1
-            first[count] = total
+            for n in range(len(kinds)):
+                low, high = _bins_near(boxes[n], frame)
+                for i in range(low[0], high[0]):
+                    for j in range(low[1], high[1]):
+                        for m in range(low[2], high[2]):
+                            x, y, z = centre_of(frame, i, j, m)
+                            if to_primitive(kinds[n], numbers[n], x, y, z) <= NEAR * frame.h + REACH:
+                                b = flat(frame, i, j, m)
+                                if turn == 0:
+                                    first[b + 1] += 1
+                                else:
+                                    members[free[b]] = n
+                                    free[b] += 1
+            if turn == 0:
+                first = np.cumsum(first).astype(np.int32)
+                members, free = np.empty(first[-1], np.int32), first.copy()
         return first, members
 
     return entry  # type: ignore[no-any-return]
+
+
+@inner
+@no_type_check
+def _bins_near(box, frame):
+    """First and last bin, the last excluded, whose centres may be near the box around a primitive."""
+    around = REACH + NEAR * frame.h
+    return (
+        (
+            index(box[0] - around, frame.x, frame.h, frame.nx),
+            index(box[1] - around, frame.y, frame.h, frame.ny),
+            index(box[2] - around, frame.z, frame.h, frame.nz),
+        ),
+        (
+            index(box[3] + around, frame.x, frame.h, frame.nx) + 1,
+            index(box[4] + around, frame.y, frame.h, frame.ny) + 1,
+            index(box[5] + around, frame.z, frame.h, frame.nz) + 1,
+        ),
+    )
 
 
 @inner

@@ -1,0 +1,77 @@
+"""Boxes that move, at the instants at which they will be where: what a plan keeps from them.
+
+The map holds still what will be swept soon, as far as that leaves room for plans to begin. Whether a plan, or what is
+left of the committed one, is hit is a question of instants, and answered here: a vehicle that stands in the way of a
+box has to leave, although nothing touches it yet.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxplan.errors import InputError
+from jaxplan.minsnap.spline_batch import SplineBatch
+from jaxplan.planner import sampled
+from jaxplan.replanner.committed import CommittedPlans
+from jaxplan.spline import PiecewisePolynomial
+from jaxplan.validation import as_shaped
+
+LESS = 0.1
+"""m; how much nearer a committed plan may come before it is given up: ways that are foreseen anew in each cycle are
+never quite the same (arbitrary)."""
+
+
+class Ways(NamedTuple):
+    """Where boxes along the room's axes are expected. Beyond the last instant nothing is known of them."""
+
+    times: Float[np.ndarray, "n"]
+    """Ascending [s], on the clock of the cycles; 0.05 s apart or less."""
+    lower: Float[np.ndarray, "b n 3"]
+    """Lower corners [m, world]."""
+    upper: Float[np.ndarray, "b n 3"]
+    """Upper corners [m, world]."""
+    keep: float
+    """What plans keep from them [m]: the vehicle's radius, and what it strays."""
+
+
+def usual_ways(ways: Ways) -> Ways:
+    """Arrays of float64. Raises ``InputError`` for shapes that do not fit, and for numbers that are not finite."""
+    times = np.atleast_1d(np.asarray(ways.times, dtype=float))
+    count = np.shape(ways.lower)[0] if np.ndim(ways.lower) else 0
+    lower, upper = (as_shaped("ways: corner", part, (count, len(times), 3)) for part in ways[1:3])
+    finite = all(np.isfinite(part).all() for part in (times, lower, upper, ways.keep))
+    if not finite or not (np.diff(times) > 0.0).all() or not (lower <= upper).all() or not ways.keep >= 0.0:
+        raise InputError("ways: want ascending finite times, lower <= upper at each of them, and keep of at least 0 m")
+    return Ways(times, lower, upper, float(ways.keep))
+
+
+class Passing:
+    """How near plans come to what moves."""
+
+    def __init__(self, ways: Ways, committed: CommittedPlans, now: float) -> None:
+        later = ways.times >= now
+        self._ways = Ways(ways.times[later], ways.lower[:, later], ways.upper[:, later], ways.keep)
+        self._kept = np.asarray(committed.reference(self._ways.times).pos)
+        self.keep = ways.keep
+        """[m]"""
+        self.nearest = float(self._apart(self._kept[None])[0])
+        """Least distance [m] of what is committed already."""
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether what is committed is clear enough to be kept."""
+        return self.nearest >= self.keep - LESS
+
+    def along(self, splines: SplineBatch | PiecewisePolynomial, takeover: float) -> Float[np.ndarray, "k"]:
+        """The same for plans that take over at ``takeover`` [s]; until then what is committed is flown."""
+        positions = np.asarray(sampled(splines, self._ways.times - takeover).pos)
+        return self._apart(np.where((self._ways.times < takeover)[:, None], self._kept, positions))
+
+    def _apart(self, positions: Float[np.ndarray, "k n 3"]) -> Float[np.ndarray, "k"]:
+        """Least distance [m] from all boxes at all instants; inf where there is nothing, -inf for what is NaN."""
+        least = np.full(len(positions), np.inf)
+        for lower, upper in zip(self._ways.lower, self._ways.upper, strict=True):
+            beyond = np.maximum(np.maximum(lower - positions, positions - upper), 0.0)
+            least = np.minimum(least, np.sqrt((beyond**2).sum(axis=2)).min(axis=1, initial=np.inf))
+        return np.asarray(np.where(np.isnan(least), -np.inf, least))

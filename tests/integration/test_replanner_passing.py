@@ -1,0 +1,156 @@
+"""Boxes that move, told with the instants at which they will be where."""
+
+import numpy as np
+import pytest
+
+from jaxplan.compilation import compilations
+from jaxplan.errors import InputError
+from jaxplan.planner import Fault, build_planner
+from jaxplan.policy.constant_speed import constant_speed_policy
+from jaxplan.prediction.candidates import candidates_from
+from jaxplan.prediction.observations import first_observation
+from jaxplan.replanner import Replanner, Ways
+from jaxplan.replanner.committed import CommittedPlans, hold
+from jaxplan.replanner.passing import Passing
+from jaxplan.spline import FlatState, hover
+from jaxplan.status import PlanStatus
+from jaxplan.vehicle.load import load_vehicle
+from jaxplan.world.load import load_world
+from jaxplan.world.update import update_world, with_spare_boxes
+from oracles.planner_cases import CONFIG, START
+from tolerances import tolerance
+
+HALF, KEEP = np.array([0.3, 0.2, 0.4]), 0.33
+
+
+@pytest.fixture(scope="module")
+def planner():
+    world = with_spare_boxes(load_world("env1"), 2)
+    built = build_planner(CONFIG, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
+    built.warmup(hover(START))
+    return built
+
+
+def nowhere(observations, cycle):
+    """A goal that cannot be reached in time."""
+    return candidates_from(START, START[None] + 3.0, np.array([0.1]), np.zeros(1))
+
+
+def sliding(begin, velocity, now=0.0, seconds=1.8):
+    """A box that flies straight on."""
+    times = now + np.arange(0.0, seconds, 0.025)
+    centres = begin + times[:, None] * velocity
+    return Ways(times, (centres - HALF)[None], (centres + HALF)[None], KEEP)
+
+
+def apart(ways, position):
+    """From one place at each instant to the nearest box, one by one."""
+    least = np.inf
+    for lower, upper in zip(ways.lower, ways.upper, strict=True):
+        for n in range(len(ways.times)):
+            nearest = np.minimum(np.maximum(position[n], lower[n]), upper[n])
+            least = min(least, float(np.linalg.norm(position[n] - nearest)))
+    return least
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_distances_are_those_of_the_flight_at_each_instant(planner, seed):
+    """What is committed until a plan takes over, that plan from then on; two boxes at once."""
+    rng = np.random.default_rng(seed)
+    one, other = (sliding(START + rng.normal(size=3), rng.normal(size=3)) for _ in range(2))
+    ways = one._replace(lower=np.concatenate([one.lower, other.lower]), upper=np.concatenate([one.upper, other.upper]))
+    stops = planner.brake(
+        FlatState(derivatives=np.vstack([START, rng.normal(size=3), np.zeros((3, 3))]), yaw=np.zeros(3))
+    )
+    passing = Passing(ways, CommittedPlans(hold(hover(START))), 0.0)
+    found, takeover = passing.along(stops.splines, 0.4), 0.4
+    for index in rng.integers(0, len(found), 5):
+        spline = stops.spline(index)
+        flown = [
+            START if time < takeover else np.asarray(spline.evaluate(min(time - takeover, float(spline.duration))))[:3]
+            for time in ways.times
+        ]
+        np.testing.assert_allclose(found[index], apart(ways, flown), **tolerance("formula"))
+        np.testing.assert_allclose(passing.along(spline, takeover)[0], found[index], **tolerance("formula"))
+    np.testing.assert_allclose(passing.nearest, apart(ways, [START] * len(ways.times)), **tolerance("formula"))
+
+
+@pytest.mark.parametrize("course", [0.0, 1.0, 2.5, 4.0])
+def test_a_hover_that_will_be_hit_is_left_in_time(planner, course):
+    velocity = 2.0 * np.array([np.cos(course), np.sin(course), 0.0])
+    replanner, counted = Replanner(planner, nowhere, hover(START)), compilations()
+    begin = START - 1.5 * velocity
+    status = []
+    for cycle in range(30):
+        replanner.expect(sliding(begin, velocity, 0.1 * cycle))
+        status.append(replanner.step(0.1 * cycle, first_observation(0.1 * cycle, START)).status)
+    times = np.arange(0.0, 4.0, 0.01)
+    box = begin + times[:, None] * velocity
+    ways = Ways(times, (box - HALF)[None], (box + HALF)[None], KEEP)
+    assert apart(ways, np.tile(START, (len(times), 1))) == 0.0
+    assert apart(ways, replanner.reference(times).pos) >= KEEP - 0.02  # between the instants that are looked at
+    assert PlanStatus.BRAKE in status
+    assert PlanStatus.BLOCKED not in status
+    assert compilations() == counted
+
+
+def test_who_is_not_in_the_way_stays(planner):
+    replanner = Replanner(planner, nowhere, hover(START))
+    replanner.expect(sliding(START + np.array([0.0, 1.2, 0.0]), np.array([1.0, 0.0, 0.0])))
+    assert replanner.step(0.0, first_observation(0.0, START)).status is not PlanStatus.BRAKE
+    assert len(replanner.plans) == 1
+
+
+def test_boxes_that_stand_for_what_moves_are_kept_out_of_by_searches_alone(planner):
+    """Others stay what they are; and one that is told as a still box again is solid again."""
+    world = with_spare_boxes(load_world("env1"), 2)
+    first = len(world.boxes.center) - 2
+    middle = START + np.array([1.5, 0.0, 0.0])
+    corners, goal = (middle - 0.5, middle + 0.5), candidates_from(START, middle[None], np.array([2.0]), np.zeros(1))
+    stop = next(planner.brake(hover(START), aside=True).spline(n) for n in range(45, 150) if reaches(planner, n))
+    moved = update_world(world, move_box=(first, corners))
+    soft, hard = planner.update(moved, moving=True), planner.update(moved)
+    assert not soft.validate(stop).faults & Fault.CLEARANCE
+    assert hard.validate(stop).faults & Fault.CLEARANCE
+    for one in (soft, hard):
+        assert one.plan_batch(hover(START), goal).reasons[0] != planner.plan_batch(hover(START), goal).reasons[0]
+    elsewhere = update_world(moved.world, move_box=(first + 1, (START + 3.0, START + 3.2)))
+    assert not soft.update(elsewhere).validate(stop).faults & Fault.CLEARANCE
+    still = update_world(moved.world, move_box=(first, (corners[0], corners[1] + 0.01)))
+    assert soft.update(still).validate(stop).faults & Fault.CLEARANCE
+
+
+def reaches(planner, number):
+    """Whether a step aside leads 1.5 m along x."""
+    found = planner.brake(hover(START), aside=True).goals[number] - START
+    return bool(np.allclose(found, [1.5, 0.0, 0.0], atol=1e-6))
+
+
+def test_slow_vehicles_step_aside_and_fast_ones_do_not(planner):
+    usual, more = planner.brake(hover(START)), planner.brake(hover(START), aside=True)
+    steps = np.linalg.norm(more.goals[len(usual.goals) :] - START, axis=1)
+    assert {0.4, 0.8, 1.5, 2.5} == set(np.round(steps, 6))
+    assert (more.reasons[len(usual.goals) :] == 0).any()
+    fast = FlatState(derivatives=np.vstack([START, [5.0, 0.0, 0.0], np.zeros((3, 3))]), yaw=np.zeros(3))
+    assert len(planner.brake(fast).goals) == len(planner.brake(fast, aside=True).goals)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"times": np.array([0.0, 0.0])},
+        {"lower": np.full((1, 2, 3), 5.0)},
+        {"lower": np.zeros((2, 3))},
+        {"upper": np.full((1, 2, 3), np.nan)},
+        {"keep": -0.1},
+        {"keep": np.nan},
+    ],
+    ids=str,
+)
+def test_what_are_no_ways_is_refused_and_changes_nothing(planner, changed):
+    replanner = Replanner(planner, nowhere, hover(START))
+    good = Ways(np.array([0.0, 0.1]), np.zeros((1, 2, 3)), np.ones((1, 2, 3)), KEEP)
+    replanner.expect(good)
+    with pytest.raises(InputError, match="ways"):
+        replanner.expect(good._replace(**changed))
+    replanner.expect(None)
