@@ -2,8 +2,8 @@
 
 from collections import deque
 
-FIRST = 5.0
-"""ms per step of a refinement, as long as none was measured (arbitrary: more than twice what two cores take)."""
+FIRST = 1.0
+"""ms per step of a refinement, as long as none was measured (arbitrary: four times what a core takes)."""
 REMEMBERED = 30
 """Refinements whose slowest says how long the next one takes (arbitrary)."""
 SPARE = 0.2

@@ -42,7 +42,7 @@ class Watch:
         return candidates_from(goals[0], goals, times, np.zeros(30))
 
 
-@pytest.mark.parametrize(("taken", "refined"), [(0.0, True), (0.06, True), (0.079, False), (0.09, False)])
+@pytest.mark.parametrize(("taken", "refined"), [(0.0, True), (0.06, True), (0.0795, False), (0.09, False)])
 def test_a_cycle_refines_in_the_time_that_is_left(planner, taken, refined):
     watch, counted = Watch(taken), compilations()
     replanner = Replanner(planner, watch, hover(START), ReplannerConfig(drop_late=True), watch)
