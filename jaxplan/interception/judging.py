@@ -22,7 +22,7 @@ def measured_state(state: PlantState, vehicle: Vehicle) -> Measured:
     thrust = lift * float((np.asarray(state.rotor_speeds, dtype=float) ** 2).sum())
     drag = float(vehicle.drag_coefficient) * float(np.linalg.norm(velocity)) * velocity
     acceleration = (thrust * up - drag) / mass - np.array([0.0, 0.0, float(vehicle.gravity)])
-    return Measured(np.asarray(state.pos, dtype=float), velocity, acceleration)
+    return Measured(np.asarray(state.pos, dtype=float), velocity, acceleration, np.array([w, x, y, z]))
 
 
 def flight_rows(

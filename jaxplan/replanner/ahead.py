@@ -50,5 +50,5 @@ def look_ahead(planner: Planner, committed: CommittedPlans, now: float, measured
         return None
     before = now + np.arange(-settings.steps, 1) / CONTROL_RATE
     flown = committed.reference(before if committed.plans[0].start_time <= before[0] else before[-1:])
-    model = planner.roll_out(flown, *measured)
+    model = planner.roll_out(flown, *measured[:3])
     return None if model is None else Ahead(model, committed, now)

@@ -5,6 +5,7 @@ from jaxtyping import Float
 
 from jaxplan.errors import InputError
 from jaxplan.planner import sampled
+from jaxplan.records import replace
 from jaxplan.replanner.records import CommittedPlan
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import PlanStatus
@@ -24,6 +25,17 @@ class CommittedPlans:
     def add(self, plan: CommittedPlan) -> None:
         """It takes over no earlier than the newest one."""
         self.plans.append(plan)
+
+    def turn(self, time: float, heading: float) -> None:
+        """Fly what is left of the newest plan from ``time`` [s] on with a heading [rad] that is held."""
+        newest, since = self.newest, time - self.newest.start_time
+        if since < float(newest.spline.duration):
+            rest = newest.spline if since <= 0.0 else newest.spline.split(since)[1]
+        else:
+            rest = hold(self.at(time)).spline
+        yaw = np.zeros((len(rest.durations), 6))
+        yaw[:, 0] = heading
+        self.add(newest._replace(start_time=max(time, newest.start_time), spline=replace(rest, yaw=yaw)))
 
     def withdraw(self) -> None:
         """Take back the newest plan, which nobody has flown."""

@@ -28,7 +28,7 @@ from jaxplan.replanner.ahead import Ahead, look_ahead
 from jaxplan.replanner.choice import Chosen, Start
 from jaxplan.replanner.committed import CommittedPlans, hold
 from jaxplan.replanner.decision import Decision, Known
-from jaxplan.replanner.measured import carried_on, usual_measured
+from jaxplan.replanner.measured import carried_on, heading_near, turn_from, usual_measured
 from jaxplan.replanner.pace import Pace
 from jaxplan.replanner.passing import Passing, Ways, usual_ways
 from jaxplan.replanner.records import CommittedPlan, Cycle, Measured, ReplannerConfig
@@ -137,6 +137,7 @@ class Replanner:
         measured = None if measured is None else usual_measured(measured)
         self._last, latency = now, self.latency
         timer = Timer(self._clock, 1e3 * PLANNED * latency if self.config.drop_late else np.inf)
+        self._keep_heading(now, measured)
         ahead = look_ahead(self.planner, self._committed, now, measured)
         start = self._start(now, measured, ahead)
         timer.lap("roll out")
@@ -196,6 +197,14 @@ class Replanner:
         if deviation == off <= self.config.stop_beyond and (back or self._is_clear(now, deviation)):
             return Start(then, takeover, deviation, False, 0.0)
         return Start(state, takeover, deviation, True, self.config.wider_margin)
+
+    def _keep_heading(self, now: float, measured: Measured | None) -> None:
+        """Let the reference have the vehicle's heading, where the vehicle cannot hold the reference's."""
+        if measured is None or measured.attitude is None:
+            return
+        yaw = float(self._committed.at(now).yaw[0])
+        if abs(turn_from(measured.attitude, yaw)) > self.config.most_turn:
+            self._committed.turn(now + self.latency, heading_near(measured.attitude, yaw))
 
     def _is_clear(self, now: float, wider: float) -> bool:
         """Whether what is left of the committed plan keeps its distance from obstacles, and so much [m] more."""

@@ -3,6 +3,8 @@
 from typing import no_type_check
 
 import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from jaxplan.errors import InputError
 from jaxplan.replanner.records import Measured
@@ -12,15 +14,17 @@ from jaxplan.validation import as_numbers
 
 @no_type_check
 def usual_measured(measured: Measured) -> Measured:
-    """Arrays of float64. Raises ``InputError`` where they are not three finite numbers each."""
+    """Arrays of float64. Raises ``InputError`` where they are not three finite numbers each, four of the attitude."""
     parts = []
     for name, values in zip(Measured._fields, measured, strict=True):
-        if name == "acceleration" and values is None:
+        if name in ("acceleration", "attitude") and values is None:
             parts.append(None)
             continue
         array = as_numbers(f"measured: {name}", values)
-        if array.shape != (3,) or not np.isfinite(array).all():
-            raise InputError(f"measured: {name} is {values!r}, want three finite numbers")
+        count = 4 if name == "attitude" else 3
+        if array.shape != (count,) or not np.isfinite(array).all() or (count == 4 and not array.any()):
+            wanted = "three finite numbers" if count == 3 else "a quaternion w x y z"
+            raise InputError(f"measured: {name} is {values!r}, want {wanted}")
         parts.append(array)
     return Measured(*parts)
 
@@ -42,3 +46,22 @@ def carried_on(measured: Measured, now: FlatState, then: FlatState, latency: flo
     derivatives[1] += off[1] + latency * off[2]
     derivatives[2] += off[2]
     return FlatState(derivatives=derivatives, yaw=np.asarray(then.yaw))
+
+
+def heading_near(attitude: Float[np.ndarray, "4"], yaw: float) -> float:
+    """Where body x points, seen from above [rad], unwrapped to within half a turn of ``yaw``."""
+    east, north, _ = _axes(attitude)[0]
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    return yaw + float(np.arctan2(cos * north - sin * east, cos * east + sin * north))
+
+
+def turn_from(attitude: Float[np.ndarray, "4"], yaw: float) -> float:
+    """How far an attitude is turned about body z [rad] from that of the same thrust with this yaw [rad]."""
+    body_x, body_y, body_z = _axes(attitude)
+    wanted = np.cross([-np.sin(yaw), np.cos(yaw), 0.0], body_z)
+    return float(np.arctan2(-(wanted @ body_y), wanted @ body_x))
+
+
+def _axes(attitude: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
+    """Body axes in the world, one a row."""
+    return np.asarray(Rotation.from_quat(attitude, scalar_first=True).as_matrix().T)

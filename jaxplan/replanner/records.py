@@ -36,11 +36,14 @@ class ReplannerConfig:
     finds back to it."""
     stop_beyond: float = 0.8
     """Farther [m] than this, it stops from there first."""
+    most_turn: float = 0.8
+    """Turned farther [rad] than this about body z from its reference, the vehicle keeps the heading that it has: where
+    it lacks the thrust to hold one, nothing else of the plan depends on it."""
     wider_margin: float = 0.05
     """What plans from a measured state keep from obstacles [m] beyond the usual (arbitrary)."""
 
     def __post_init__(self) -> None:
-        require_positive("replanner", self, "period", "latency", "keep_radius", "reach", "replan_beyond")
+        require_positive("replanner", self, "period", "latency", "keep_radius", "reach", "replan_beyond", "most_turn")
         require_at_least("replanner", self, 0.0, "wider_margin")
         require_at_least("replanner", self, self.replan_beyond, "stop_beyond")
         if self.most_latency is not None and not self.most_latency >= self.latency:
@@ -56,6 +59,8 @@ class Measured(NamedTuple):
     """[m/s]"""
     acceleration: Float[np.ndarray, "3"] | None = None
     """[m/s^2]; None: the reference's."""
+    attitude: Float[np.ndarray, "4"] | None = None
+    """Unit quaternion w x y z, body FLU to world; None: the reference's."""
 
 
 class CommittedPlan(NamedTuple):

@@ -200,7 +200,7 @@ class Worker:
 
 def carried_to(odometry: Odometry, now: float, oldest: float) -> Measured | None:
     """A measurement carried on to ``now`` [s] at its acceleration; None where it is older than ``oldest`` [s]."""
-    (position, velocity, acceleration), passed = odometry.measured, now - odometry.time
+    (position, velocity, acceleration, _), passed = odometry.measured, now - odometry.time
     finite = np.isfinite(position).all() and np.isfinite(velocity).all()
     if not finite or not abs(passed) <= oldest:
         return None

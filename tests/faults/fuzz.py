@@ -198,7 +198,8 @@ class Calls:
         seen = Observations(times=spoilt(rng, times), positions=spoilt(rng, positions), age=float(rng.random()))
         reference = self.replanner.reference(np.array([self.now]))
         where = np.asarray(reference.pos)[0] + rng.normal(size=3) * rng.choice([0.0, 0.1, 0.3])
-        measured = Measured(spoilt(rng, where), spoilt(rng, np.asarray(reference.vel)[0]))
+        attitude = spoilt(rng, rng.normal(size=4)) if rng.random() < 0.3 else None
+        measured = Measured(spoilt(rng, where), spoilt(rng, np.asarray(reference.vel)[0]), None, attitude)
         try:
             self.replanner.step(now, seen, measured if rng.random() < 0.5 else None)
         finally:

@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from jaxplan.errors import InputError
 from jaxplan.knots import KnotConfig
@@ -14,7 +15,7 @@ from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
 from jaxplan.prediction.observations import first_observation
 from jaxplan.replanner import Measured, Replanner, ReplannerConfig
-from jaxplan.replanner.committed import hold
+from jaxplan.replanner.committed import CommittedPlans, hold
 from jaxplan.replanner.incumbent import incumbent_among
 from jaxplan.spline import hover
 from jaxplan.status import PlanStatus
@@ -211,6 +212,45 @@ def test_a_vehicle_off_its_reference_plans_from_where_it_is(planner):
     assert not verdict.faults
     after = replanner.step(0.9, seen, measured_off(replanner, 0.9, np.zeros(3)))
     assert after.deviation < 1e-9
+
+
+@pytest.mark.parametrize(("turn", "given_up"), [(0.7, False), (0.9, True), (-2.0, True)])
+def test_a_vehicle_that_cannot_hold_its_heading_keeps_the_one_it_has(planner, turn, given_up):
+    """From the takeover on, at the very places; also where it hovers, behind the plan's end."""
+    replanner, seen = flying(planner)
+    for now in (0.8, 30.0):
+        times = now + np.array([0.0, 0.05, 0.099, 0.1])
+        before = replanner.reference(times)
+        thrust = before.acc[0] + np.array([0.0, 0.0, 9.81])
+        heading = before.yaw[0, 0] + turn
+        body_z = thrust / np.linalg.norm(thrust)
+        body_x = np.cross([-np.sin(heading), np.cos(heading), 0.0], body_z)
+        body_x /= np.linalg.norm(body_x)
+        body = np.stack([body_x, np.cross(body_z, body_x), body_z], axis=1)
+        attitude = Rotation.from_matrix(body).as_quat(scalar_first=True)
+        replanner.step(now, seen, Measured(before.pos[0], before.vel[0], before.acc[0], attitude))
+        after = replanner.reference(times)
+        np.testing.assert_allclose(after.derivatives[:, :4], before.derivatives[:, :4], atol=1e-6)
+        np.testing.assert_array_equal(after.yaw[:3], before.yaw[:3])
+        expected = [heading, 0.0, 0.0] if given_up else before.yaw[3]
+        np.testing.assert_allclose(after.yaw[3], expected, atol=1e-6)
+
+
+def test_of_what_is_turned_nothing_but_the_heading_changes():
+    """Before the newest plan's end, in the hover behind it, and in one from the beginning of time."""
+    spline = dataclasses.replace(hold(hover(START)).spline, durations=np.array([2.0]))
+    spline.position[0, 3:6] = np.outer([10.0, -15.0, 6.0], [2.0, 0.0, 0.5])  # from rest to rest
+    plans = CommittedPlans(hold(hover(START, yaw=0.2)))
+    plans.turn(1.0, 0.7)
+    np.testing.assert_allclose(plans.reference(np.array([0.9, 1.0])).yaw[:, 0], [0.2, 0.7])
+    plans.add(plans.newest._replace(start_time=2.0, spline=spline))
+    times = np.linspace(2.0, 6.0, 41)
+    before = plans.reference(times)
+    plans.turn(3.5, -1.0)
+    plans.turn(5.0, 1.0)
+    after = plans.reference(times)
+    np.testing.assert_allclose(after.derivatives[:, :3], before.derivatives[:, :3], atol=1e-9)
+    np.testing.assert_allclose(after.yaw[:, 0], np.select([times < 3.5, times < 5.0], [0.0, -1.0], 1.0))
 
 
 @pytest.mark.parametrize("faster", [0.0, 4.0])
