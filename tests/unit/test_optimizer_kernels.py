@@ -147,8 +147,8 @@ def test_without_drag_and_without_a_limit_of_the_turn(segments, x64):
     assert_same_step(task, case_of(task, vehicle), a_point(segments, seed=1))
 
 
-def test_every_kind_of_obstacle_and_nodes_of_distances(x64, tmp_path):
-    """Beside boxes, turned ones, a mesh, and where nothing is near."""
+def test_one_step_in_other_rooms(x64):
+    """Beside boxes, where nothing is near, and among walls and pillars; for other solids see ``test_search_slopes``."""
     lower = np.asarray(START) + np.array([[0.4, 0.8, -0.5], [0.9, -0.9, -0.5], [-0.9, 0.3, -1.0]])
     room = np.stack([np.asarray(START) - 4.0, np.asarray(START) + 4.0])
     for obstacles in (make_obstacles(boxes=aligned_boxes(lower, lower + 0.5)), make_obstacles()):
