@@ -123,7 +123,7 @@ def test_boxes_that_stand_for_what_moves_are_kept_out_of_by_searches_alone(plann
 def reaches(planner, number):
     """Whether a step aside leads 1.5 m along x."""
     found = planner.brake(hover(START), aside=True).goals[number] - START
-    return bool(np.allclose(found, [1.5, 0.0, 0.0], atol=1e-6))
+    return bool(np.allclose(found, [1.5, 0.0, 0.0], **tolerance("solve")))
 
 
 def test_slow_vehicles_step_aside_and_fast_ones_do_not(planner):
