@@ -73,5 +73,5 @@ def connect(workers: int, scheduler: str | None, *, deaths: int = 0) -> "Iterato
         try:
             yield client
         finally:
-            with suppress(TimeoutError):  # a nanny that is starting its worker anew cannot be closed
+            with suppress(TimeoutError, OSError):  # a nanny that is starting its worker anew cannot be closed
                 client.wait_for_workers(workers, timeout=RESTART_SECONDS)
