@@ -65,7 +65,7 @@ def connect(workers: int, scheduler: str | None, *, deaths: int = 0) -> "Iterato
             memory_limit=0,
             host=LOOPBACK,
             dashboard_address=None,
-            scheduler_kwargs={"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"},  # any port: 8787 may be taken
+            scheduler_kwargs={"dashboard_address": f"{LOOPBACK}:0"},  # of what it serves instead: 8787 may be taken
             silence_logs=logging.CRITICAL,
         ) as cluster,
         Client(cluster) as client,
