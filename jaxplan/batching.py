@@ -1,16 +1,18 @@
-"""Running a function on a batch in pieces, for three different reasons.
+"""Running a function on a batch in pieces, for four different reasons.
 
 ``in_chunks`` (traced): the working set of a chunk stays in the cache of one core.
 ``in_threads`` (host): the parts of a large batch share the cores.
+``side_by_side`` (host): code that holds no lock of Python's does what is independent on all cores.
 ``at_fixed_width`` (host): a function compiled for one width serves any number of members; a CPU takes as long for a
 batch of 400 as for seven of 64, so nothing is lost.
 
 The *width* of a batch is how many problems it holds, *indices* say which; the batch is the last axis of every array.
 """
 
+import functools
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
@@ -96,6 +98,20 @@ def at_fixed_width(function: Callable[[Indices], Any], indices: Indices, width: 
     with ThreadPoolExecutor(min(threads, len(cuts))) as pool:
         parts = pool.map(lambda some: function(fill(some, width)), cuts)
         return join([(part, len(some)) for part, some in zip(parts, cuts, strict=True)])
+
+
+CORES = min(os.cpu_count() or 1, 4)
+"""On which ``side_by_side`` works (at most 4: arbitrary)."""
+
+
+def side_by_side(function: Callable[[Any], T], parts: Iterable[Any]) -> list[T]:
+    """``function``, which is compiled for the host, of each of ``parts``, in their order, on several cores."""
+    return list(_pool().map(function, parts))
+
+
+@functools.cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(CORES, thread_name_prefix="jaxplan-side")
 
 
 def fill(indices: Indices, width: int) -> Int[np.ndarray, "{width}"]:

@@ -5,11 +5,14 @@ knows the passages that the padding closes. When the world changes, the tiles ar
 the roads through it: what results is what would be made from the start.
 """
 
+import functools
+import itertools
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int32
 
+from jaxplan.batching import side_by_side
 from jaxplan.search.components import join_components, label_components
 from jaxplan.search.kernels.graph import make_frame
 from jaxplan.search.kernels.places import REACH as PLACES_REACH
@@ -120,6 +123,7 @@ def _cells(
     return np.clip(begin, 0, shape).astype(np.int64), np.clip(end, 0, shape).astype(np.int64)
 
 
+@functools.cache
 def _tiles(shape: tuple[int, ...]) -> list[tuple[Int[np.ndarray, "3"], Int[np.ndarray, "3"]]]:
     """First and last cells, the last excluded, of all tiles."""
     corners = [np.array([i, j, 0]) for i in range(0, shape[0], TILE) for j in range(0, shape[1], TILE)]
@@ -128,7 +132,7 @@ def _tiles(shape: tuple[int, ...]) -> list[tuple[Int[np.ndarray, "3"], Int[np.nd
 
 def _level(field: Field, room: Float[np.ndarray, "2 3"], limit: float, wider: Level | None) -> Level:
     """Places and roads at the distance ``limit`` [m] from obstacles."""
-    parts = [_places(field, room, limit, wider, *tile) for tile in _tiles(field.values.shape)]
+    parts = side_by_side(lambda tile: _places(field, room, limit, wider, *tile), _tiles(field.values.shape))
     points, normals, tiles = _numbered(parts, wider)
     shared = len(points) - int(tiles.sum())
     pairs = join(tuple(field), limit, points, normals, np.ones(len(points), dtype=bool), shared, (room[0], room[1]))
@@ -161,18 +165,19 @@ def _changed_level(
     around = PLACES_REACH + (limit if above is None else above.limit)
     begin, end = _cells(field, box[0] - around, box[1] + around)
     first = level.shared + np.concatenate([[0], np.cumsum(level.tiles)])
-    parts, numbers = [], [np.zeros(0, np.int64) if wider is None else wider.before]
-    for tile, (low, high) in enumerate(_tiles(field.values.shape)):
-        old = np.arange(first[tile], first[tile + 1])
-        known = roads.points[old], roads.normals[old]
-        if low[0] < end[0] and low[1] < end[1] and begin[0] < high[0] and begin[1] < high[1] and begin[2] < end[2]:
-            parts.append(_places(field, room, limit, above, low, high))
-            numbers.append(_same(known, parts[-1], old))
-        else:
-            parts.append(known)
-            numbers.append(old)
-    points, normals, tiles = _numbered(parts, above)
-    before, shared = np.concatenate(numbers), len(points) - int(tiles.sum())
+    olds = [np.arange(*ends) for ends in itertools.pairwise(first.tolist())]
+    parts, numbers = [(roads.points[old], roads.normals[old]) for old in olds], list(olds)
+    tiles = _tiles(field.values.shape)
+    looked_at = [
+        n for n, (low, high) in enumerate(tiles) if ((low < end) & (begin < high))[:2].all() and begin[2] < end[2]
+    ]
+    found = side_by_side(lambda n: _places(field, room, limit, above, *tiles[n]), looked_at)
+    for n, places in zip(looked_at, found, strict=True):
+        numbers[n] = _same(parts[n], places, olds[n])
+        parts[n] = places
+    numbers.insert(0, np.zeros(0, np.int64) if wider is None else wider.before)
+    points, normals, counts = _numbered(parts, above)
+    before, shared = np.concatenate(numbers), len(points) - int(counts.sum())
     near, now = (box[0] - limit, box[1] + limit), np.full(len(roads.points), -1, np.int32)
     now[before[before >= 0]] = np.flatnonzero(before >= 0)
     held = kept(roads, level.shared, now, tuple(field), limit, near, not opens)
@@ -181,7 +186,7 @@ def _changed_level(
     window = tuple(slice(int(a), int(b)) for a, b in zip(*_cells(field, *near), strict=True))
     labels = join_components(level.components, _open_cells(field, room, limit, window), window)
     linking = linked(points, normals, pairs, None if above is None else above.roads)
-    return _Changed(Level(limit, linking, shared, tiles, labels), before)
+    return _Changed(Level(limit, linking, shared, counts, labels), before)
 
 
 def _open_cells(

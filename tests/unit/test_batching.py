@@ -7,7 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplan.batching import CHUNK_WIDTH, THREAD_WIDTH, at_fixed_width, fill, in_chunks, in_threads, join, pick
+from jaxplan.batching import (
+    CHUNK_WIDTH,
+    THREAD_WIDTH,
+    at_fixed_width,
+    fill,
+    in_chunks,
+    in_threads,
+    join,
+    pick,
+    side_by_side,
+)
 
 
 def doubled(tree: dict) -> dict:
@@ -75,3 +85,10 @@ def test_what_is_filled_up_is_left_out_again() -> None:
     some = np.array([7, 2, 2])
     np.testing.assert_array_equal(fill(some, 6), [7, 2, 2, 7, 7, 7])
     assert_same(join([(pick(batch, fill(some, 6)), 3)]), pick(batch, some))
+
+
+def test_side_by_side_keeps_the_order_and_passes_errors_on() -> None:
+    assert side_by_side(lambda n: n * n, range(20)) == [n * n for n in range(20)]
+    assert side_by_side(len, []) == []
+    with pytest.raises(ZeroDivisionError):
+        side_by_side(lambda n: 1 // n, [1, 0, 2])

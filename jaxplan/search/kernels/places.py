@@ -214,12 +214,14 @@ def _spread(points, normals, count, span, chosen, far):
             if far[c] < 1.0:
                 continue
             dx, dy, dz = points[c, 0] - points[best, 0], points[c, 1] - points[best, 1], points[c, 2] - points[best, 2]
+            apart = math.sqrt(dx * dx + dy * dy + dz * dz) / span
+            if apart >= far[c]:
+                continue
             ex = normals[c, 0] - normals[best, 0]
             ey = normals[c, 1] - normals[best, 1]
             ez = normals[c, 2] - normals[best, 2]
             angle = 2.0 * math.asin(min(0.5 * math.sqrt(ex * ex + ey * ey + ez * ez), 1.0))
-            apart = max(math.sqrt(dx * dx + dy * dy + dz * dz) / span, angle / TURN)
-            far[c] = min(far[c], apart)
+            far[c] = min(far[c], max(apart, angle / TURN))
 
 
 @inner

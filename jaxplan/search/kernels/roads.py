@@ -10,9 +10,11 @@ from typing import NamedTuple, Protocol, no_type_check, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
 
+from jaxplan.batching import CORES, side_by_side
 from jaxplan.search.kernels.cells import at, distance
 from jaxplan.search.kernels.compiled import entry_point, inner, source_digest
-from jaxplan.search.kernels.sight import Box, keeps_clear, keeps_clear_beside
+from jaxplan.search.kernels.fans import SECTORS, look_round, sector_of
+from jaxplan.search.kernels.sight import FEW, Box, follows_clear, keeps_clear, too_close_among
 
 TANGENT = 0.45
 """Largest sine of the angle between a road and the surface at its ends: neighbouring places are up to ``places.TURN``
@@ -54,8 +56,10 @@ class _Join(Protocol):
         own: int,
         lower: tuple,
         upper: tuple,
+        share: int,
+        shares: int,
     ) -> Int32[np.ndarray, "e 2"]:
-        """Pairs of places."""
+        """Pairs of places, a share of them."""
 
 
 def join(
@@ -71,8 +75,11 @@ def join(
 
     The other number is at least ``own``.
     """
-    corners = tuple(box[0].tolist()), tuple(box[1].tolist())
-    return _compiled_join()(field, float(limit), points, normals, fresh, own, *corners)
+    corners, compiled = (tuple(box[0].tolist()), tuple(box[1].tolist())), _compiled_join()
+    pairs = side_by_side(
+        lambda share: compiled(field, float(limit), points, normals, fresh, own, *corners, share, CORES), range(CORES)
+    )
+    return np.concatenate(pairs)
 
 
 def kept(
@@ -113,37 +120,72 @@ def _compiled_join() -> _Join:
 
     @entry_point
     @no_type_check
-    def entry(field, limit, points, normals, fresh, own, lower, upper):
+    def entry(field, limit, points, normals, fresh, own, lower, upper, share, shares):
         _ = version
-        n = len(points)
-        groups = -(-n // GROUP)
-        middles, radii, some_fresh = np.zeros((groups, 3)), np.zeros(groups), np.zeros(groups, np.bool_)
-        _group(points, fresh, middles, radii, some_fresh)
-        pairs = np.empty((1024, 2), np.int32)
-        total = 0
-        for g in range(len(radii)):
-            for h in range(max(g, own // GROUP), len(radii)):
-                far = max(radii[g], radii[h])
-                if not (some_fresh[g] or some_fresh[h] or _touches(at(middles, g), at(middles, h), lower, upper, far)):
-                    continue
-                likely = -1  # neighbours mostly stand behind the same thing
-                for u in range(g * GROUP, min((g + 1) * GROUP, n)):
-                    a = at(points, u)
-                    for v in range(max(u + 1, max(own, h * GROUP)), min((h + 1) * GROUP, n)):
-                        b = at(points, v)
-                        asked = _along_both(normals, u, v, a, b)
-                        if not asked or not (fresh[u] or fresh[v] or _touches(a, b, lower, upper, 0.0)):
-                            continue
-                        clear, likely = keeps_clear_beside(field, limit, a, b, likely)
-                        if not clear:
-                            continue
-                        if total == len(pairs):
-                            pairs = np.concatenate((pairs, pairs))
-                        pairs[total, 0], pairs[total, 1] = u, v
-                        total += 1
+        n, few = len(points), len(field[3][0]) <= FEW
+        members = np.empty((GROUP, SECTORS, len(field[3][0]) if few else 0), np.int32)
+        counts, looked = np.zeros((GROUP, SECTORS), np.int32), np.zeros(GROUP, np.bool_)
+        place, box, fans = (points, normals, fresh, own), (lower, upper), (members, counts, looked)
+        pairs, total = np.empty((n + 1024, 2), np.int32), 0
+        for u in range(share, n, shares):
+            if fresh[u]:
+                if total + n > len(pairs):
+                    pairs = np.concatenate((pairs, pairs))
+                looked[0] = False
+                total = _enter(field, limit, place, (u, u + 1), (0, n), True, box, fans, pairs, total)
+        groups = -(-n // GROUP) if lower[0] < NOWHERE[0][0] else 0
+        middles, radii = np.zeros((groups, 3)), np.zeros(groups)
+        _group(points, middles, radii)
+        for g in range(share, groups, shares):
+            looked[:] = False
+            some = g * GROUP, min((g + 1) * GROUP, n)
+            for h in range(max(g, own // GROUP), groups):
+                if _touches(at(middles, g), at(middles, h), lower, upper, max(radii[g], radii[h])):
+                    if total + GROUP * GROUP > len(pairs):
+                        pairs = np.concatenate((pairs, pairs))
+                    others = h * GROUP, min((h + 1) * GROUP, n)
+                    total = _enter(field, limit, place, some, others, False, box, fans, pairs, total)
         return pairs[:total].copy()
 
     return entry  # type: ignore[no-any-return]
+
+
+@inner
+@no_type_check
+def _enter(field, limit, place, some, others, anew, box, fans, pairs, total):
+    """Enter the roads between ``some`` places and ``others``; how many roads there are then.
+
+    Of fresh places (``anew``) all roads, but those to lower places that are fresh as well; of what is not fresh the
+    roads through the box to higher places.
+    """
+    points, normals, fresh, own = place
+    members, counts, looked = fans
+    kinds, numbers, boxes = field[3][0], field[3][1], field[3][2]
+    few, alone = len(kinds) <= FEW, field[3][6].size == 0 and field[3][8].size == 0
+    likely = -1  # neighbours mostly stand behind the same thing
+    for u in range(some[0], some[1]):
+        if fresh[u] != anew:
+            continue
+        a, row = at(points, u), u - some[0]
+        for v in range(others[0], others[1]):
+            if max(u, v) < own or (v <= u and (v == u or fresh[v] or not anew)) or (fresh[v] and not anew):
+                continue
+            b = at(points, v)
+            if not _along_both(normals, u, v, a, b) or not (anew or _touches(a, b, box[0], box[1], 0.0)):
+                continue
+            close, (low, high) = -1, ((a, b) if u < v else (b, a))  # what is found depends a little on the direction
+            if few:
+                if not looked[row]:
+                    look_round(boxes, limit, a, members[row], counts[row])
+                    looked[row] = True
+                s = sector_of(a, b)
+                among = members[row, s, : counts[row, s]]
+                close = too_close_among(kinds, numbers, boxes, limit, low, high, likely, among)
+                likely = close if close >= 0 else likely
+            if close < 0 and ((few and alone) or follows_clear(field, limit, low, high)):
+                pairs[total, 0], pairs[total, 1] = min(u, v), max(u, v)
+                total += 1
+    return total
 
 
 @runtime_checkable
@@ -266,14 +308,13 @@ def along_surface(normals, u, a, b, most):
 
 @inner
 @no_type_check
-def _group(points, fresh, middles, radii, some):
-    """Write middles and radii [m] of groups of neighbouring places, and whether one of a group is fresh."""
+def _group(points, middles, radii):
+    """Write middles and radii [m] of groups of neighbouring places."""
     for g in range(len(radii)):
         begin, end = g * GROUP, min((g + 1) * GROUP, len(points))
         for u in range(begin, end):
             for axis in range(3):
                 middles[g, axis] += points[u, axis] / (end - begin)
-            some[g] = some[g] or fresh[u]
         for u in range(begin, end):
             radii[g] = max(radii[g], distance(at(middles, g), at(points, u)))
 

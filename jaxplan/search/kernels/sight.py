@@ -60,38 +60,46 @@ def keeps_clear(field, limit, a, b):
     """Whether all points of the segment a-b [m] keep the distance ``limit`` [m] from obstacles, if its ends do."""
     solids = field[3]
     few = len(solids[0]) <= FEW
-    if few and blocking(solids, limit, a, b, -1) >= 0:
+    if few and _is_blocked(solids, limit, a, b):
         return False
-    return (few and solids[6].size == 0 and solids[8].size == 0) or _trace(field, limit, a, b)
+    return (few and solids[6].size == 0 and solids[8].size == 0) or follows_clear(field, limit, a, b)
 
 
 @inner
 @no_type_check
-def keeps_clear_beside(field, limit, a, b, likely):
-    """The same, and the primitive that is too close, which is likely to be so for the next segment nearby."""
-    solids = field[3]
-    if len(solids[0]) > FEW:
-        return _trace(field, limit, a, b), likely
-    close = blocking(solids, limit, a, b, likely)
-    if close >= 0:
-        return False, close
-    return (solids[6].size == 0 and solids[8].size == 0) or _trace(field, limit, a, b), likely
+def too_close_among(kinds, numbers, boxes, limit, a, b, likely, members):
+    """A primitive to which a segment comes too close, of the ``members``; -1 for none.
+
+    The ``likely`` one is looked at first, if any: what is in the way of one segment mostly is in that of the next.
+    """
+    way, fine = _way(limit, a, b)
+    if likely >= 0 and _too_close(kinds[likely], numbers[likely], boxes[likely], limit, a, way, fine):
+        return likely
+    for n in members:
+        if n != likely and _too_close(kinds[n], numbers[n], boxes[n], limit, a, way, fine):
+            return n
+    return -1
 
 
 @inner
 @no_type_check
-def blocking(solids, limit, a, b, likely):
-    """A primitive to which a segment comes too close, -1 for none; the ``likely`` one is looked at first, if any."""
-    kinds, numbers, boxes = solids[0], solids[1], solids[2]
+def _is_blocked(solids, limit, a, b):
+    """Whether a segment comes too close to any primitive."""
+    way, fine = _way(limit, a, b)
+    n, end = 0, len(solids[0])
+    while n < end and not _too_close(solids[0][n], solids[1][n], solids[2][n], limit, a, way, fine):
+        n += 1
+    return n < end
+
+
+@inner
+@no_type_check
+def _way(limit, a, b):
+    """A segment as ``_too_close`` takes it, and the share of it that is not divided any further."""
     dx, dy, dz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     way = dx, dy, dz, _inverse(dx), _inverse(dy), _inverse(dz), length
-    fine = math.sqrt(8.0 * limit * MISSED) / max(length, 1e-9)
-    for turn in range(-1 if likely >= 0 else 0, len(kinds)):
-        n = likely if turn < 0 else turn
-        if _too_close(kinds[n], numbers[n], boxes[n], limit, a, way, fine):
-            return n
-    return -1
+    return way, math.sqrt(8.0 * limit * MISSED) / max(length, 1e-9)
 
 
 @inner
@@ -138,8 +146,8 @@ def _inverse(x):
 
 @inner
 @no_type_check
-def _trace(field, limit, a, b):
-    """The same for all that is solid, in steps as long as the clearance allows."""
+def follows_clear(field, limit, a, b):
+    """As ``keeps_clear`` for all that is solid, in steps as long as the clearance allows."""
     values, frame, shortfall, solids = field
     nx, ny, nz, ox, oy, oz, h = frame
     closed = limit - SLACK - HALF_DIAGONAL * h - shortfall  # a cell with this clearance is too close all over
