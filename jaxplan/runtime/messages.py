@@ -18,7 +18,7 @@ _PLAN = struct.Struct("<4q7d")
 PLAN_BYTES = _PLAN.size + 8 * MOST_PIECES * (1 + DEGREES * COLUMNS)
 _SAMPLE = struct.Struct("<4d")
 SAMPLE_BYTES = _SAMPLE.size
-_ODOMETRY = struct.Struct("<10d")
+_ODOMETRY = struct.Struct("<14d")
 ODOMETRY_BYTES = _ODOMETRY.size
 _ANSWER = struct.Struct("<2q")
 ANSWER_BYTES = _ANSWER.size
@@ -74,19 +74,24 @@ def unpack_sample(message: bytes) -> tuple[float, Float[np.ndarray, "3"]]:
 
 
 def pack_odometry(odometry: Odometry) -> bytes:
-    """An acceleration that is not known becomes NaN."""
-    measured = odometry.measured
-    acceleration = np.full(3, np.nan) if measured.acceleration is None else measured.acceleration
-    rows = (measured.position, measured.velocity, acceleration)
-    return _ODOMETRY.pack(odometry.time, *np.concatenate(rows).tolist())
+    """What is not known becomes NaN."""
+    parts = [_or_nan(part, 4 if name == "attitude" else 3) for name, part in odometry.measured._asdict().items()]
+    return _ODOMETRY.pack(odometry.time, *np.concatenate(parts).tolist())
 
 
 def unpack_odometry(message: bytes) -> Odometry:
     """The inverse of ``pack_odometry``."""
     time, *values = _ODOMETRY.unpack(message)
-    position, velocity, acceleration = np.reshape(values, (3, 3))
-    known = bool(np.isfinite(acceleration).all())
-    return Odometry(time, Measured(position, velocity, acceleration if known else None))
+    position, velocity, acceleration, attitude = np.split(np.array(values), [3, 6, 9])
+    return Odometry(time, Measured(position, velocity, _or_none(acceleration), _or_none(attitude)))
+
+
+def _or_nan(values: Float[np.ndarray, "n"] | None, count: int) -> Float[np.ndarray, "n"]:
+    return np.full(count, np.nan) if values is None else values
+
+
+def _or_none(values: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"] | None:
+    return values if np.isfinite(values).all() else None
 
 
 def pack_answer(answer: Answer) -> bytes:

@@ -128,12 +128,14 @@ class Runtime:
         position: Annotated[ArrayLike, "3"],
         velocity: Annotated[ArrayLike, "3"],
         acceleration: Annotated[ArrayLike, "3"] | None = None,
+        attitude: Annotated[ArrayLike, "4"] | None = None,
     ) -> None:
         """The vehicle was at ``time`` [s] where its estimator says [m, m/s, m/s^2, world].
 
-        Raises ``InputError`` for what is not three finite numbers each.
+        ``attitude`` is a quaternion w x y z, body FLU to world: a vehicle that cannot hold the heading that is planned
+        keeps its own where this is told. Raises ``InputError`` for what is not three finite numbers each, or four.
         """
-        measured = usual_measured(Measured(position, velocity, acceleration))
+        measured = usual_measured(Measured(position, velocity, acceleration, attitude))
         self._planner.channel.odometry.write(pack_odometry(Odometry(_instant("odometry: the time", time), measured)))
 
     @no_type_check

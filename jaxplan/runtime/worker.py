@@ -98,8 +98,9 @@ class Worker:
         self._replanner = Replanner(built.planner, built.predictor, task.flown, loop, clock=time.monotonic)
         self._standing, self._last = task.answer.accepted, task.answer.seen
         """Numbers of the plan that the replanner holds as its newest, and of the last that was offered."""
-        self._offered: list[int] = []
-        """Numbers of the plans that the pilot has not answered yet, oldest first."""
+        self._offered: dict[int, int] = {}
+        """By the number of a plan that the pilot has not answered yet, oldest first, how many the replanner holds for
+        it: a cycle may turn what is committed and replace it."""
         self._next_sample = self._next_change = 0
         for change in task.changes:
             self._change(change)
@@ -130,10 +131,11 @@ class Worker:
         if observations is None:
             self.report(Phase.WAITING)
             return None
-        before = self._replanner.committed
+        before = len(self._replanner.plans)
         cycle = self._replanner.step(now, observations, self._measured(now))
-        if self._replanner.committed is not before:
-            self._offer(self._replanner.committed)
+        added = len(self._replanner.plans) - before
+        if added:
+            self._offer(self._replanner.committed, added)
         if not self._offered:
             self._replanner.forget(now - _FORGOTTEN)
         self.cycles += 1
@@ -146,16 +148,21 @@ class Worker:
         _tell(self.channel, phase, self.reason, cycle=None if cycle is None else cycle_as_json(cycle), **numbers)
         self.channel.beat = time.monotonic()
 
-    def _offer(self, plan: CommittedPlan) -> None:
-        """Write the newest plan for the pilot, or take it back where it would come too late."""
+    def _offer(self, plan: CommittedPlan, added: int) -> None:
+        """Write the newest of the ``added`` plans for the pilot; take them back where that would be too late."""
         message = pack_plan(tabulate(self._last + 1, self._standing, plan))
         if self.now + _TO_WRITE >= plan.start_time:
-            self._replanner.withdraw()
-            self.late += 1
+            self._take_back(added)
             return
         self._last = self._standing = self._last + 1
-        self._offered.append(self._last)
+        self._offered[self._last] = added
         self.channel.plans.write(message)
+
+    def _take_back(self, added: int) -> None:
+        """The newest plans, which nobody will fly."""
+        for _ in range(added):
+            self._replanner.withdraw()
+        self.late += 1
 
     def _hear_answers(self) -> None:
         """Take back what the pilot has refused, and what goes on from it."""
@@ -164,12 +171,11 @@ class Worker:
             return
         answer = unpack_answer(message)
         if any(answer.accepted < number <= answer.seen for number in self._offered):
-            for number in self._offered:
+            for number, added in self._offered.items():
                 if number > answer.accepted:
-                    self._replanner.withdraw()
-                    self.late += 1
-            self._standing, self._offered = answer.accepted, []
-        self._offered = [number for number in self._offered if number > answer.accepted]
+                    self._take_back(added)
+            self._standing, self._offered = answer.accepted, {}
+        self._offered = {number: added for number, added in self._offered.items() if number > answer.accepted}
 
     def _measured(self, now: float) -> Measured | None:
         """The vehicle as it should be by now, from where it was a moment ago; None where that is too long ago."""
@@ -199,15 +205,17 @@ class Worker:
 
 
 def carried_to(odometry: Odometry, now: float, oldest: float) -> Measured | None:
-    """A measurement carried on to ``now`` [s] at its acceleration; None where it is older than ``oldest`` [s]."""
-    (position, velocity, acceleration, _), passed = odometry.measured, now - odometry.time
+    """A measurement carried on to ``now`` [s] at its acceleration; None where it is older than ``oldest`` [s].
+
+    The attitude stays as it was.
+    """
+    (position, velocity, acceleration, attitude), passed = odometry.measured, now - odometry.time
     finite = np.isfinite(position).all() and np.isfinite(velocity).all()
     if not finite or not abs(passed) <= oldest:
         return None
     turn = np.zeros(3) if acceleration is None else acceleration
-    return Measured(
-        position + passed * velocity + 0.5 * passed**2 * turn, velocity + passed * turn, odometry.measured.acceleration
-    )
+    moved = position + passed * velocity + 0.5 * passed**2 * turn
+    return Measured(moved, velocity + passed * turn, acceleration, attitude)
 
 
 def _warm_up(built: Built, config: RuntimeConfig) -> None:

@@ -14,7 +14,15 @@ from jaxplan.replanner.committed import hold
 from jaxplan.runtime import Phase, Runtime, RuntimeConfig
 from jaxplan.runtime.channel import CHANNEL_BYTES, Channel
 from jaxplan.runtime.held import HeldPlans
-from jaxplan.runtime.messages import Answer, Odometry, pack_answer, pack_odometry, pack_sample, unpack_plan
+from jaxplan.runtime.messages import (
+    Answer,
+    Odometry,
+    pack_answer,
+    pack_odometry,
+    pack_sample,
+    unpack_odometry,
+    unpack_plan,
+)
 from jaxplan.runtime.worker import Task, Worker, carried_to
 from jaxplan.spline import hover
 from jaxplan.status import PlanStatus
@@ -29,6 +37,8 @@ PATIENT = RuntimeConfig(replanning=ReplannerConfig(latency=0.3, most_latency=2.0
 """For a machine on which other tests run too."""
 READY = 300.0
 """s"""
+TURNED = np.array([np.cos(0.6), 0.0, 0.0, np.sin(0.6)])
+"""Level, by 1.2 rad about the vertical; quaternion w x y z."""
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +129,35 @@ def test_a_measurement_is_carried_on_to_now_and_an_old_one_left():
     assert_close(then.velocity, [2.0, 0.2, 0.0], "exact")
     assert carried_to(Odometry(1.0, measured), 1.2, 0.1) is None
     assert carried_to(Odometry(1.0, measured._replace(position=np.full(3, np.nan))), 1.0, 0.1) is None
-    assert pack_odometry(Odometry(1.0, measured))
+    assert then.attitude is None
+    for told in (measured, measured._replace(acceleration=None, attitude=TURNED)):
+        heard = unpack_odometry(pack_odometry(Odometry(1.0, told))).measured
+        assert_same(heard, told)
+        assert_same(carried_to(Odometry(1.0, heard), 1.0, 0.1), told)
+
+
+def assert_same(one: Measured, other: Measured) -> None:
+    for mine, theirs in zip(one, other, strict=True):
+        assert (mine is None) == (theirs is None)
+        if mine is not None:
+            assert_close(mine, theirs, "exact")
+
+
+def test_a_vehicle_that_is_turned_keeps_its_heading_and_what_is_refused_of_that_is_taken_back(built):
+    """However many plans the replanner holds for it, the pilot hears of one."""
+    worker = worker_for(built, dataclasses.replace(PATIENT, replanning=ReplannerConfig(latency=5.0)))
+    turned = Measured(START, np.zeros(3), attitude=TURNED)
+    worker.channel.odometry.write(pack_odometry(Odometry(worker.now, turned)))
+    seen_by(worker)
+    held = len(worker._replanner.plans)
+    worker.tick()
+    (plan,) = tables(worker)
+    assert_close(plan.row(plan.start_time)[15], 1.2, "exact")
+    assert len(worker._replanner.plans) > held
+    worker.channel.answers.write(pack_answer(Answer(seen=1, accepted=0)))
+    worker._hear_answers()
+    assert len(worker._replanner.plans) == held
+    assert worker.late == 1
 
 
 def flown(runtime, seconds, watch=None, target=GOAL):
