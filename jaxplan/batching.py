@@ -13,7 +13,7 @@ import functools
 import os
 import threading
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, TypeVar
 
 import jax
@@ -107,6 +107,11 @@ CORES = min(os.cpu_count() or 1, 4)
 def side_by_side(function: Callable[[Any], T], parts: Iterable[Any]) -> list[T]:
     """``function``, which is compiled for the host, of each of ``parts``, in their order, on several cores."""
     return list(_pool().map(function, parts))
+
+
+def beside(function: Callable[[], T]) -> Future[T]:
+    """``function`` on another core while the caller goes on. It must not call ``side_by_side``."""
+    return _pool().submit(function)
 
 
 @functools.cache

@@ -4,15 +4,27 @@ import contextlib
 import ctypes
 import gc
 
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+"""Of glibc's ``mallopt`` (``malloc.h``)."""
+_KEPT = 256 << 20
+"""Bytes that are free and not given back from then on (arbitrary)."""
+_LARGEST = 32 << 20
+"""Bytes of the largest arrays that are taken from them: glibc allows no more."""
+
 
 def settle() -> None:
-    """Before the flight: collect, set aside all that stays, and give freed pages back to the system.
+    """Before the flight: collect, set aside all that stays, give freed pages back, and keep those that are freed later.
 
     What is set aside is not looked through again, hundreds of thousands of objects of JAX: later collections take
     microseconds instead of a third of a second, in which a plan or a setpoint would be late. The planner's process does
     it after its warm-up; the process that asks for setpoints should, once it has imported and built what it needs.
+    What is freed in flight stays with the process: arrays that change with the world are as large as it is, and fresh
+    pages for them took as long as to copy them.
     """
     gc.collect()
     gc.freeze()
     with contextlib.suppress(AttributeError, OSError):  # another C library than glibc keeps the pages
-        ctypes.CDLL(None).malloc_trim(0)
+        library = ctypes.CDLL(None)
+        library.malloc_trim(0)
+        library.mallopt(_TRIM_THRESHOLD, _KEPT)
+        library.mallopt(_MMAP_THRESHOLD, _LARGEST)

@@ -76,12 +76,26 @@ def build_roadmap(world: World, resolution: float, limits: tuple[float, ...]) ->
     return Roadmap(field, room, tuple(levels))
 
 
+def update_field(
+    field: Field, world: World, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]
+) -> tuple[Field, bool]:
+    """Clearances after a change within a box [m], and whether there is any place with more than before."""
+    lower, upper = _widened(field, lower, upper)
+    solids, values = tuple(solids_of(world)), field.values.copy()
+    begin, end = _cells(field, lower - REACH, upper + REACH)
+    changed = lower - 4.0 * field.shortfall, upper + 4.0 * field.shortfall
+    opens = fill(values, field.frame, solids, begin, end, changed)
+    return Field(values, field.frame, field.shortfall, solids), opens
+
+
 def update_roadmap(
-    roadmap: Roadmap, world: World, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]
+    roadmap: Roadmap, field: Field, opens: bool, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]
 ) -> Roadmap:
-    """The roadmap of a world of which only the obstacles in the box from ``lower`` to ``upper`` [m] have changed."""
-    lower, upper = lower - 2.0 * roadmap.field.shortfall, upper + 2.0 * roadmap.field.shortfall
-    field, opens = _changed_field(roadmap.field, world, lower, upper)
+    """The roadmap of a world of which only the obstacles in the box from ``lower`` to ``upper`` [m] have changed.
+
+    ``field`` as ``update_field`` gives it, and whether anything ``opens``.
+    """
+    lower, upper = _widened(roadmap.field, lower, upper)
     levels: list[_Changed] = []
     for level in roadmap.levels:
         wider = levels[-1] if levels else None
@@ -103,15 +117,9 @@ def field_of(world: World, resolution: float) -> Field:
     return Field(values, frame, HALF_DIAGONAL * max(sides, default=0.0), solids)
 
 
-def _changed_field(
-    field: Field, world: World, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]
-) -> tuple[Field, bool]:
-    """Clearances after a change within a box [m], and whether there is any place with more than before."""
-    solids, values = tuple(solids_of(world)), field.values.copy()
-    begin, end = _cells(field, lower - REACH, upper + REACH)
-    changed = lower - 4.0 * field.shortfall, upper + 4.0 * field.shortfall
-    opens = fill(values, field.frame, solids, begin, end, changed)
-    return Field(values, field.frame, field.shortfall, solids), opens
+def _widened(field: Field, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Box:
+    """A box [m], and what a clearance may fall short around it."""
+    return lower - 2.0 * field.shortfall, upper + 2.0 * field.shortfall
 
 
 def _cells(

@@ -8,11 +8,13 @@ then be apart, which costs a search its budget but never hides a path. Arrays ke
 import numpy as np
 from jaxtyping import Bool, Int
 
+from jaxplan.batching import beside
 from jaxplan.precision import in_float64
+from jaxplan.records import replace
 from jaxplan.search.components import join_components
 from jaxplan.search.kernels.graph import permitted_moves
 from jaxplan.search.lattice import Lattices, SearchLattice
-from jaxplan.search.roadmap import update_roadmap
+from jaxplan.search.roadmap import update_field, update_roadmap
 from jaxplan.world.obstacles import World
 from jaxplan.world.occupancy import Lattice, coarsen, kept_in, padded_cells
 from jaxplan.world.update import Change
@@ -31,18 +33,29 @@ def update_lattices(lattices: Lattices, change: Change) -> Lattices:
     first, last = np.clip(first, 0, finest.shape), np.clip(last, 0, finest.shape)
     if not (first < last).all():
         return lattices
-    roadmap = None if lattices.roadmap is None else update_roadmap(lattices.roadmap, world, lower, upper)
-    if roadmap is not None:
-        window = tuple(slice(a, b) for a, b in zip(first.tolist(), last.tolist(), strict=True))
-        padded = roadmap.field.values[window] < lattices.config.padding
-    else:
+    roadmap = lattices.roadmap
+    if roadmap is None:
         where = finest.origin, last - first, finest.resolution
         padded = padded_cells(world.obstacles, *where, lattices.config.padding, first)
-    levels = tuple(
-        _update_level(world, level, padded, first, factor)
-        for level, factor in zip(lattices.levels, factors, strict=True)
-    )
-    return Lattices(levels=levels, roadmap=roadmap, config=lattices.config)
+        return replace(lattices, levels=_update_levels(lattices, world, padded, first, factors))
+    field, opens = update_field(roadmap.field, world, lower, upper)
+    window = tuple(slice(a, b) for a, b in zip(first.tolist(), last.tolist(), strict=True))
+    padded = field.values[window] < lattices.config.padding
+    levels = beside(lambda: _update_levels(lattices, world, padded, first, factors))
+    roadmap = update_roadmap(roadmap, field, opens, lower, upper)
+    return replace(lattices, levels=levels.result(), roadmap=roadmap)
+
+
+def _update_levels(
+    lattices: Lattices,
+    world: World,
+    padded: Bool[np.ndarray, "wx wy wz"],
+    first: Int[np.ndarray, "3"],
+    factors: list[int],
+) -> tuple[SearchLattice, ...]:
+    """All levels; each one's cells span so many of the finest lattice's, by ``factors``."""
+    levels = zip(lattices.levels, factors, strict=True)
+    return tuple(_update_level(world, level, padded, first, factor) for level, factor in levels)
 
 
 def _shortfall(world: World) -> float:
