@@ -5,6 +5,7 @@ taken in order of score, some at a time, until one passes. The winner is that of
 """
 
 import inspect
+import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -82,6 +83,9 @@ PORTION = 3
 """Widths of candidates that get their waypoints at a time: of about so many one width may arrive in time (measured)."""
 DOUBT = 0.25
 """s; how much sooner a candidate's trajectory may capture than a straight flight promises (arbitrary)."""
+AT_STAKE = 0.5
+"""s; beside a committed plan one width of candidates is tried for each of these until it captures the target: no other
+plan gains more (docs/decisions/0047)."""
 
 
 def build_planner(
@@ -244,14 +248,15 @@ def plan_batch(
     if len(rows):
         table = search(parts, state, table, rows)
         timer.lap("search")
-        table = _until_one_passes(parts, state, table, timer)
+        rounds = len(rows) if prospect is None or above == -np.inf else max(math.ceil(-above / AT_STAKE), 1)
+        table = _until_one_passes(parts, state, table, timer, rounds)
     plans = (table if prospect is None else rescored(table, prospect)).plans()
     timer.lap("select")
     return plans
 
 
-def _until_one_passes(parts: Parts, state: FlatState, table: Table, timer: Timer) -> Table:
-    """Match, solve and check the best rows first, in rounds, until a round has a usable one.
+def _until_one_passes(parts: Parts, state: FlatState, table: Table, timer: Timer, rounds: int) -> Table:
+    """Match, solve and check the best rows first, in at most so many rounds, until a round has a usable one.
 
     Waypoints are placed for no more of them than it takes to fill the next round with what may arrive in time. Once the
     ``timer`` is up there is no further round.
@@ -265,8 +270,8 @@ def _until_one_passes(parts: Parts, state: FlatState, table: Table, timer: Timer
         waiting = np.concatenate([waiting, some[table.reasons[some] == 0]])
         while len(waiting) >= (width if len(rows) else 1):
             table, passed = _round(parts, state, table, waiting[:width], timer)
-            waiting = waiting[width:]
-            if timer.is_up or (passed and not exhaustive):
+            waiting, rounds = waiting[width:], rounds - 1
+            if not exhaustive and (passed or timer.is_up or rounds == 0):
                 return outrank(table, np.concatenate([waiting, rows]))
     return table
 

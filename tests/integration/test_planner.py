@@ -15,6 +15,7 @@ from jaxplan.knots import KnotConfig
 from jaxplan.planner import PlannerConfig, Timer, build_planner, select, select_approach
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
+from jaxplan.prediction.futures import Futures
 from jaxplan.records import replace
 from jaxplan.selection import CheckConfig, check_clearance
 from jaxplan.spline import FlatState
@@ -141,6 +142,23 @@ def test_once_the_time_is_up_no_more_candidates_are_tried(world, moving):
     np.testing.assert_array_equal(hasty.reasons[tried], whole.reasons[tried])
     assert (hasty.reasons[wanted & ~tried] == int(Reason.OUTRANKED)).all()
     assert hasty.score[tried].min() >= hasty.score[wanted & ~tried].max()
+
+
+@pytest.mark.parametrize(("captures_in", "rounds"), [(0.2, 1), (0.8, 2)])
+def test_the_sooner_the_committed_plan_captures_the_fewer_others_are_tried(world, moving, captures_in, rounds):
+    """Where plans are compared by capture, and none passes; the best ones are those that are tried."""
+    config = dataclasses.replace(CONFIG, checks=CheckConfig(max_deviation=1e-9), allocate="policy")
+    strict = build_planner(config, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
+    ahead = np.asarray(moving.pos) + 0.3 * np.asarray(moving.vel)  # every flight captures it soon
+    still = Futures(times=np.zeros(1), positions=ahead[None, None], weights=np.ones(1))
+    given = replace(candidates(90), futures=still)
+    beside, alone = (strict.plan_batch(moving, given, None, above) for above in (-captures_in, -np.inf))
+    tried, wanted = beside.trajectory >= 0, alone.trajectory >= 0
+    assert tried.sum() == rounds * config.width < wanted.sum()
+    np.testing.assert_array_equal(beside.reasons[tried], alone.reasons[tried])
+    assert beside.score[tried].min() >= beside.score[wanted & ~tried].max()
+    by_eq_9 = strict.plan_batch(moving, candidates(90), None, -100.0)
+    assert (by_eq_9.trajectory >= 0).sum() > rounds * config.width
 
 
 def replace_config(exhaustive):
