@@ -2,8 +2,9 @@
 
     jaxplan bench start [--json FILE]
 
-Each is a process of its own. ``cpu_s`` is processor time, of the process that compiles beside it too, which says more than
-``wall_s`` where something else is running; ``memory_mb`` is what the warm process has in memory, ``peak_mb`` the most that it had.
+Each is a process of its own. ``cpu_s`` is processor time, with that of the process that compiles beside it; it says
+more than ``wall_s`` where something else is running. ``memory_mb`` is what the warm process has in memory, ``peak_mb``
+the most that it had.
 """
 
 import argparse

@@ -43,9 +43,6 @@ class _Part(JITCodeLibrary):
         self._raise_if_finalized()
         self._finalized = True
 
-    def _optimize_functions(self, ll_module: Any) -> None:
-        ll_module.data_layout = self._codegen._data_layout
-
 
 class _Whole(JITCodeLibrary):
     """What Python calls, with all parts that it calls and that these call, each once."""

@@ -302,12 +302,12 @@ def _warmup(parts: Parts, state: FlatState) -> None:
     state = usual_state(state)
     candidates = _candidates_around(state, parts.config.width)
     with ThreadPoolExecutor(2) as pool:
-        search = in_float64(warm_up_search), parts.lattices, parts.world, parts.config.path_capacity
-        aside = pool.submit(in_float64(_compile_aside), parts, state, candidates), pool.submit(*search)
+        descent = pool.submit(in_float64(_compile_aside), parts, state, candidates)
+        search = pool.submit(in_float64(warm_up_search), parts.lattices, parts.world, parts.config.path_capacity)
         asked = [allocation.match for allocation in parts.allocations(hover(state.pos))]
         compile_all(parts.stations, asked, parts.config, state)
-        for part in aside:
-            part.result()
+        descent.result()
+        search.result()
     plan_batch(parts, state, candidates)
     approach(parts, state, candidates)
     stops = brake(parts, state)
