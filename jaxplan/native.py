@@ -7,11 +7,18 @@ other files does not count, and files from a wheel all carry one constant time s
 
 import functools
 import hashlib
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numba
 
-inner = numba.njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False)
+from jaxplan import ahead
+from jaxplan.parts import PART, WHOLE
+
+F = TypeVar("F", bound=Callable)
+
+inner = numba.njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False, **PART)
 """Compiles functions that only other compiled functions call: without wrappers for Python and C, which took a third of
 the time of the first compilation, and without reference counts (``_nrt``), which took 7 %: they make and keep no
 arrays. Each is compiled once per set of argument types, and a constant such as 0 is a type of its own."""
@@ -24,14 +31,33 @@ summing = numba.njit(
     no_cfunc_wrapper=True,
     _nrt=False,
 )
-"""The same for long sums of products, which may be added up in any order: several at a time."""
+"""The same for long sums of products, which may be added up in any order: several at a time. Made machine code on its
+own, so that this order does not depend on who calls it."""
 
 within = numba.njit(inline="always")
-"""Puts functions into the one that calls them before that is compiled. Whatever is called from a compiled function is
-optimised with it once more, at each level: long functions with one caller each need not be levels of their own."""
+"""Puts functions into the one that calls them before that is compiled, while their types are not yet known: cheap where
+there is one caller."""
 
-entry_point = numba.njit(cache=True, nogil=True, error_model="numpy")
-"""Compiles functions that Python calls, and keeps them on disk."""
+_entries: list[Any] = []
+
+
+def entry_point(function: F) -> F:
+    """Compiles functions that Python calls, and keeps them on disk."""
+    options = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **WHOLE}
+    ahead.wait_for(ahead.name_of(function))
+    compiled: Any = numba.njit(**options)(function)
+    _entries.append(compiled)
+    return compiled
+
+
+def entries() -> list[Any]:
+    """All functions that Python calls, so far."""
+    return list(_entries)
+
+
+def specialisations() -> int:
+    """How many functions that Python calls are compiled or loaded, each for one set of argument types."""
+    return sum(len(entry.signatures) for entry in _entries)
 
 
 @functools.cache

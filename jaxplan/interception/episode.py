@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxplan.compilation import compilations, give_back_memory
+from jaxplan.compilation import compilations, give_back_memory, uncollected
 from jaxplan.config import InterceptConfig
 from jaxplan.interception.judging import flight_rows, measured_state, until_decided
 from jaxplan.interception.records import FLYING, Episode, Flight, Follow, Guide, Progress, React, Watch, tell_nobody
@@ -34,7 +34,7 @@ def run(config: InterceptConfig, progress: Progress | None = None) -> Episode:
 
 def warm_up(scenario: Scenario) -> None:
     """Compile everything that an episode calls, the planner's part beside the rest."""
-    with ThreadPoolExecutor(1) as pool:
+    with uncollected(), ThreadPoolExecutor(1) as pool:
         planning = pool.submit(scenario.planner.warmup, scenario.start)
         _warm_up_flight(scenario)
         planning.result()

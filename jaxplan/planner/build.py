@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxplan.compilation import give_back_memory
+from jaxplan.compilation import give_back_memory, uncollected
 from jaxplan.errors import InputError
 from jaxplan.feasibility.classifier import Classifier
 from jaxplan.planner.approach import approach
@@ -301,16 +301,18 @@ def _round(parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Time
     return table, passed
 
 
+@uncollected()
 def _warmup(parts: Parts, state: FlatState) -> None:
     """Compile every station, then run the whole chain once."""
     state = usual_state(state)
-    warm_up_search(parts.lattices, parts.world, parts.config.path_capacity)
     candidates = _candidates_around(state, parts.config.width)
-    with ThreadPoolExecutor(1) as pool:
-        aside = pool.submit(in_float64(_compile_aside), parts, state, candidates)
+    with ThreadPoolExecutor(2) as pool:
+        descent = pool.submit(in_float64(_compile_aside), parts, state, candidates)
+        search = pool.submit(in_float64(warm_up_search), parts.lattices, parts.world, parts.config.path_capacity)
         asked = [allocation.match for allocation in parts.allocations(hover(state.pos))]
         compile_all(parts.stations, asked, parts.config, state)
-        aside.result()
+        descent.result()
+        search.result()
     plan_batch(parts, state, candidates)
     approach(parts, state, candidates)
     stops = brake(parts, state)

@@ -1,14 +1,13 @@
 """Compiling every station for every length before the first replan."""
 
-import contextlib
 import functools
-import gc
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import numpy as np
 
+from jaxplan.compilation import uncollected
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.planner.stations import LENGTHS, Match, Routes, Stations, cut
 from jaxplan.precision import in_float64
@@ -20,7 +19,7 @@ def compile_all(stations: Stations, asked: Sequence[Match], config: PlannerConfi
 
     ``asked``: those of the time allocations that the configuration can ask for; the others are not compiled.
     """
-    with _uncollected(), ThreadPoolExecutor(len(LENGTHS)) as pool:
+    with uncollected(), ThreadPoolExecutor(len(LENGTHS)) as pool:
         paths = np.tile(np.asarray(state.pos), (config.width, config.path_capacity, 1))
         whole = jax.tree.map(np.asarray, stations.route(paths, paths[:, -1]))
         list(pool.map(in_float64(functools.partial(_compile, stations, asked, state, whole)), LENGTHS))
@@ -32,15 +31,3 @@ def _compile(stations: Stations, asked: Sequence[Match], state: FlatState, whole
     nothing, once = np.zeros(len(routes.count)), np.ones(len(routes.count))
     arrival = [match(state, routes, nothing, once) for match in asked][-1]
     jax.block_until_ready(stations.solve(state, routes, arrival.durations, np.asarray(state.pos), 1.0))
-
-
-@contextlib.contextmanager
-def _uncollected() -> Iterator[None]:
-    """No garbage collection: tracing keeps nearly all that it makes; looking through it takes a tenth of the time."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()

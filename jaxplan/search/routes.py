@@ -26,7 +26,7 @@ from jaxplan.search.kernels.sight import paths_keep_clear
 from jaxplan.search.lattice import MOST_ALTERNATIVES, Lattices, Paths
 from jaxplan.search.lattice_routes import search_lattice, search_lattices
 from jaxplan.search.request import Request, finish, open_request, with_more_rows
-from jaxplan.search.roadmap import Roadmap, connected
+from jaxplan.search.roadmap import Roadmap, connected, update_roadmap
 from jaxplan.status import Note
 from jaxplan.world.obstacles import World
 from jaxplan.world.occupancy import exact_clearance
@@ -111,12 +111,16 @@ def _shortest_first(paths: Paths, alternatives: int) -> Paths:
 
 
 def warmup(lattices: Lattices, world: World, capacity: int = 32) -> None:
-    """Compile everything that ``find_routes`` may call for this world, the search too where all is in sight."""
+    """Compile everything that ``find_routes`` and ``update_lattices`` may call for this world.
+
+    The search too where all is in sight, and what a change takes where there was none.
+    """
     middle = np.asarray(world.bounds).mean(axis=0)
     astar.warmup()
     exact_clearance(world.obstacles, middle[None])
     if lattices.roadmap is not None:
         paths_keep_clear(lattices.roadmap.field, 0.0, np.zeros((1, capacity, 3)), np.zeros(1, np.int64))
+        update_roadmap(lattices.roadmap, world, middle, middle)
     find_routes(lattices, world, middle, middle[None], 0.0, capacity)
 
 

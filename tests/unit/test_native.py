@@ -1,10 +1,16 @@
-"""The key of what numba keeps on disk."""
+"""How code is compiled for the host, and the key of what numba keeps of it on disk."""
 
+import numpy as np
 import pytest
 
-from jaxplan.native import digest_of
+from jaxplan import load_world
+from jaxplan.compilation import compilations
+from jaxplan.native import digest_of, entry_point, inner, specialisations
 from jaxplan.optimizer.kernels import compiled as of_optimizer
+from jaxplan.parts import PART
 from jaxplan.search.kernels import compiled as of_search
+from jaxplan.search.kernels.sight import clearances
+from jaxplan.search.kernels.solids import solids_of
 from jaxplan.tracking.kernels import compiled as of_tracking
 
 
@@ -27,3 +33,49 @@ def test_each_has_a_key_of_its_own():
 def test_the_key_of_the_descent_follows_all_that_it_calls():
     own = digest_of(of_optimizer.Path(of_optimizer.__file__).parent)
     assert of_optimizer.source_digest() == own + of_search.source_digest() + of_tracking.source_digest()
+
+
+def test_every_layout_of_points_is_one_program():
+    solids = solids_of(load_world("env1"))
+    points = np.random.default_rng(0).uniform(0.5, 1.5, (64, 3))
+    expected, known = clearances(solids, points), specialisations()
+    for other in (np.asfortranarray(points), points[::-1][::-1], np.repeat(points, 2, axis=1)[:, ::2]):
+        np.testing.assert_array_equal(clearances(solids, other), expected)
+    assert specialisations() == known
+
+
+def test_what_numba_makes_ready_counts_as_a_compilation():
+    @entry_point
+    def double(x):
+        return x + x
+
+    known = compilations()
+    assert double(1.0) == 2.0
+    assert compilations() == known + 1
+    assert double(2.0) == 4.0
+    assert compilations() == known + 1
+    assert double(1) == 2
+    assert compilations() == known + 2
+
+
+def test_parts_are_taken_in_once():
+    @inner
+    def leaf(x, k):
+        return x[k] * x[k]
+
+    @inner
+    def middle(x):
+        total = 0.0
+        for k in range(len(x)):
+            total += leaf(x, k)
+        return total
+
+    @entry_point
+    def whole(x):
+        return middle(x) + leaf(x, 0)
+
+    x = np.arange(5.0)
+    assert whole(x) == 30.0
+    if PART:
+        code = whole.inspect_llvm(whole.signatures[0])
+        assert code.count("call i32 @_ZN") == 1  # the wrapper's: all else is in it

@@ -19,7 +19,7 @@ from jaxplan.search.kernels.heap import Heap, make_heap, pop, push
 from jaxplan.search.kernels.roads import TANGENT, Roads
 from jaxplan.search.kernels.sight import keeps_clear
 from jaxplan.search.kernels.tighten import last_needed, tighten
-from jaxplan.search.kernels.ways import FAR, NEAR, Search, best_place, list_ways, runs_along, unroll
+from jaxplan.search.kernels.ways import FAR, NEAR, NO_PLACE, Search, best_place, list_ways, runs_along, unroll
 
 FIRST_REACH = 1.3
 """How far is looked at first, as a multiple of the distance to the farthest goal; then twice as far (arbitrary)."""
@@ -164,7 +164,7 @@ def _write_bent(s, reach, head, goals, left, done, raw, bent, normals, points, c
     """Write the paths of goals whose way is at most ``reach`` [m], which no way over other places can undercut."""
     for g in range(len(goals)):
         done[g] = not left[g]
-    hint = -1
+    hint = NO_PLACE
     for g in range(len(goals)):
         if done[g]:
             continue

@@ -295,6 +295,7 @@ class _Clearances(Protocol):
 def clearances(solids: tuple, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
     """Distances [m] from points in the room to the nearest obstacle, at most ``solids.REACH``."""
     found = np.zeros(len(points))
+    points = np.ascontiguousarray(points)  # another layout would be another program, compiled in flight
     _compiled_clearances()(solids, points, found)
     return found
 

@@ -23,6 +23,8 @@ PATIENCE, MOST_TESTS = 48, 200
 """Places that do not see a goal before it is asked whether any near it can be reached; and, as long as not all places
 are settled, before it has to wait (arbitrary)."""
 GIVEN_UP = -2
+NO_PLACE, NONE_TESTED = np.int64(-1), np.int64(0)
+"""Typed, so that what takes them is not compiled for these constants beside all other numbers."""
 WITNESSES = 3
 """The nearest places that see a goal: where none of them can be reached, the goal cannot (arbitrary)."""
 FAR = 1e6
@@ -64,7 +66,7 @@ def list_ways(s, goal, hint, reach):
     shortest = _measure_ways(s, goal)
     if shortest > reach:
         return -1, 0
-    best, tested, bound = -1, 0, shortest + FIRST_SPREAD
+    best, tested, bound = NO_PLACE, NONE_TESTED, shortest + FIRST_SPREAD
     if hint >= 0 and _leads_on(s, hint, goal):
         best, bound = hint, s.ways[hint]
     while True:

@@ -106,7 +106,8 @@ def _compiled_fly() -> _Fly:
         work, commands = np.empty(4), np.empty(8)
         for k in range(len(yaw)):
             now = found.state[k]
-            now[:] = state
+            for n in range(SIZE):  # assigning arrays compiles the message for other sizes: two seconds
+                now[n] = state[n]
             found.error[k], found.twist[k] = _fly_one(
                 craft, now, derivatives[k], yaw[k], since, work, commands, found.position[k]
             )
