@@ -2,9 +2,8 @@
 
     jaxplan bench start [--json FILE]
 
-Each is a process of its own. ``cpu_s`` is processor time, with that of the process that compiles beside it; it says
-more than ``wall_s`` where something else is running. ``memory_mb`` is what the warm process has in memory, ``peak_mb``
-the most that it had.
+Each is a process of its own. ``cpu_s`` is processor time, which says more than ``wall_s`` where something else is
+running; ``memory_mb`` is what the warm process has in memory, ``peak_mb`` the most that it had.
 """
 
 import argparse
@@ -24,17 +23,15 @@ CHILD = """
 import json, resource, sys
 from jaxplan import programs
 said = programs.use()
-from jaxplan import ahead, interception
+from jaxplan import interception
 from jaxplan.config import InterceptConfig
 from jaxplan.scenario import build_scenario
 scenario = build_scenario(InterceptConfig(world=sys.argv[1]))
 interception.warm_up(scenario)
 used = resource.getrusage(resource.RUSAGE_SELF)
-ahead.end()
-beside = resource.getrusage(resource.RUSAGE_CHILDREN)
 pages = int(open("/proc/self/statm").read().split()[1])
 print(json.dumps({
-    "cpu_s": sum(usage.ru_utime + usage.ru_stime for usage in (used, beside)),
+    "cpu_s": used.ru_utime + used.ru_stime,
     "memory_mb": 1e-6 * pages * resource.getpagesize(),
     "peak_mb": 1e-3 * used.ru_maxrss,
     "said": said,

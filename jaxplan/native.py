@@ -13,8 +13,7 @@ from typing import Any, TypeVar
 
 import numba
 
-from jaxplan import ahead
-from jaxplan.parts import PART, WHOLE
+from jaxplan.linking import PART, WHOLE
 
 F = TypeVar("F", bound=Callable)
 
@@ -44,15 +43,9 @@ _entries: list[Any] = []
 def entry_point(function: F) -> F:
     """Compiles functions that Python calls, and keeps them on disk."""
     options = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **WHOLE}
-    ahead.wait_for(ahead.name_of(function))
     compiled: Any = numba.njit(**options)(function)
     _entries.append(compiled)
     return compiled
-
-
-def entries() -> list[Any]:
-    """All functions that Python calls, so far."""
-    return list(_entries)
 
 
 def specialisations() -> int:

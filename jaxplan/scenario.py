@@ -8,7 +8,6 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxplan import ahead
 from jaxplan.arrival import ArrivalConfig
 from jaxplan.config import InterceptConfig
 from jaxplan.errors import InputError
@@ -94,7 +93,6 @@ def build_scenario(config: InterceptConfig, *, exhaustive: bool = False, planner
     Raises:
         InputError, FileError: the configuration, a file, the target or the start cannot be used.
     """
-    ahead.begin()
     world = load_world(config.world)
     vehicle = load_vehicle(config.vehicle)
     config = with_a_planner(config, vehicle)
@@ -139,7 +137,6 @@ def build_planning(config: InterceptConfig) -> Planning:
     Raises:
         InputError, FileError: the configuration, a file or the start cannot be used, or the predictor knows the truth.
     """
-    ahead.begin()
     world, vehicle = load_world(config.world), load_vehicle(config.vehicle)
     start = _hover(config, world, vehicle)
     config = with_a_planner(config, vehicle)

@@ -26,7 +26,7 @@ from jaxplan.search.kernels.sight import paths_keep_clear
 from jaxplan.search.lattice import MOST_ALTERNATIVES, Lattices, Paths
 from jaxplan.search.lattice_routes import search_lattice, search_lattices
 from jaxplan.search.request import Request, finish, open_request, with_more_rows
-from jaxplan.search.roadmap import Roadmap, connected, update_roadmap
+from jaxplan.search.roadmap import Roadmap, connected, update_field, update_roadmap
 from jaxplan.status import Note
 from jaxplan.world.obstacles import World
 from jaxplan.world.occupancy import exact_clearance
@@ -120,7 +120,7 @@ def warmup(lattices: Lattices, world: World, capacity: int = 32) -> None:
     exact_clearance(world.obstacles, middle[None])
     if lattices.roadmap is not None:
         paths_keep_clear(lattices.roadmap.field, 0.0, np.zeros((1, capacity, 3)), np.zeros(1, np.int64))
-        update_roadmap(lattices.roadmap, world, middle, middle)
+        update_roadmap(lattices.roadmap, *update_field(lattices.roadmap.field, world, middle, middle), middle, middle)
     find_routes(lattices, world, middle, middle[None], 0.0, capacity)
 
 

@@ -5,9 +5,9 @@ import pytest
 
 from jaxplan import load_world
 from jaxplan.compilation import compilations
+from jaxplan.linking import PART
 from jaxplan.native import digest_of, entry_point, inner, specialisations
 from jaxplan.optimizer.kernels import compiled as of_optimizer
-from jaxplan.parts import PART
 from jaxplan.search.kernels import compiled as of_search
 from jaxplan.search.kernels.sight import clearances
 from jaxplan.search.kernels.solids import solids_of
