@@ -23,7 +23,6 @@ from jaxplan.planner.brake import brake, impact
 from jaxplan.planner.capture import prospect_of
 from jaxplan.planner.corrections import correct
 from jaxplan.planner.descent import build_descent
-from jaxplan.planner.fallbacks import Stops
 from jaxplan.planner.parts import Parts, Placing
 from jaxplan.planner.records import (
     Approach,
@@ -41,9 +40,9 @@ from jaxplan.planner.records import (
     Warmup,
     prospect_for,
 )
-from jaxplan.planner.refined import Refine, RefinementConfig, Seed
+from jaxplan.planner.refined import Refine, RefinementConfig
 from jaxplan.planner.refinement import refine
-from jaxplan.planner.rollouts import Rollout, build_flyer, sampled
+from jaxplan.planner.rollouts import Rollout, build_flyer
 from jaxplan.planner.stations import compile_stations
 from jaxplan.planner.table import (
     Rows,
@@ -61,11 +60,11 @@ from jaxplan.planner.table import (
 )
 from jaxplan.planner.timer import Timer
 from jaxplan.planner.validator import Room, Verdict, validate
-from jaxplan.planner.warmup import compile_all
+from jaxplan.planner.warmup import candidates_around, compile_all, compile_refinement, fly_once
 from jaxplan.policy.placing import SEGMENTS, Place, vehicle_numbers
 from jaxplan.policy.protocol import Policy
 from jaxplan.precision import in_float64
-from jaxplan.prediction.candidates import Candidates, candidates_from
+from jaxplan.prediction.candidates import Candidates
 from jaxplan.prediction.futures import Futures
 from jaxplan.records import replace
 from jaxplan.search.kernels.solids import solids_of
@@ -73,7 +72,6 @@ from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
 from jaxplan.search.routes import warmup as warm_up_search
 from jaxplan.search.update import update_lattices
 from jaxplan.spline import FlatState, PiecewisePolynomial, hover
-from jaxplan.tracking.rates import CONTROL_RATE
 from jaxplan.vehicle.identity import require_same_vehicle
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.obstacles import World
@@ -305,9 +303,9 @@ def _round(parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Time
 def _warmup(parts: Parts, state: FlatState) -> None:
     """Compile every station, then run the whole chain once."""
     state = usual_state(state)
-    candidates = _candidates_around(state, parts.config.width)
+    candidates = candidates_around(state, parts.config.width)
     with ThreadPoolExecutor(2) as pool:
-        descent = pool.submit(in_float64(_compile_aside), parts, state, candidates)
+        descent = pool.submit(in_float64(compile_refinement), parts, state, candidates)
         search = pool.submit(in_float64(warm_up_search), parts.lattices, parts.world, parts.config.path_capacity)
         asked = [allocation.match for allocation in parts.allocations(hover(state.pos))]
         compile_all(parts.stations, asked, parts.config, state)
@@ -317,25 +315,10 @@ def _warmup(parts: Parts, state: FlatState) -> None:
     approach(parts, state, candidates)
     stops = brake(parts, state)
     _validate(parts, stops.spline(0))
-    _fly_once(parts, stops)
+    fly_once(parts, stops)
     if parts.config.captures:
         _capture_once(parts, state, candidates)
     give_back_memory()
-
-
-def _compile_aside(parts: Parts, state: FlatState, candidates: Candidates) -> None:
-    """Compile what works on one chosen plan: the refinement, from a plan that stays where it is."""
-    if parts.config.refinement is not None:
-        still = PiecewisePolynomial(durations=np.ones(2), position=np.zeros((2, 10, 3)), yaw=np.zeros((2, 6)))
-        refine(parts, hover(state.pos), candidates, Seed(still, 0.0, 1.0, np.asarray(state.pos), 1.0))
-
-
-def _fly_once(parts: Parts, stops: Stops) -> None:
-    """Compile what samples trajectories, and the model, where plans are flown in it."""
-    references = sampled(stops.splines, np.arange(CONTROL_RATE + 1) / CONTROL_RATE)
-    if parts.flyer is not None:
-        flown = jax.tree.map(lambda rows: rows[0], references)
-        Rollout(parts.flyer, parts.room, parts.radius, flown, flown.pos[-1], flown.vel[-1]).along(references)
 
 
 def _capture_once(parts: Parts, state: FlatState, candidates: Candidates) -> None:
@@ -343,9 +326,3 @@ def _capture_once(parts: Parts, state: FlatState, candidates: Candidates) -> Non
     still = Futures(times=np.zeros(1), positions=np.asarray(state.pos)[None, None] + 1.0, weights=np.ones(1))
     correct(parts, state, prospect_of(still, parts.config.capture))
     plan_batch(parts, state, replace(candidates, futures=still))
-
-
-def _candidates_around(state: FlatState, count: int) -> Candidates:
-    """Candidates near a state, to warm up with."""
-    goals = np.asarray(state.pos) + 0.3 * np.random.default_rng(0).standard_normal((count, 3)) * [1.0, 1.0, 0.1]
-    return candidates_from(np.asarray(state.pos), goals, np.linspace(0.5, 1.5, count), np.zeros(count))
