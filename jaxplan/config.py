@@ -75,7 +75,7 @@ class InterceptConfig:
     """Distance [m] that goals and paths keep from obstacles; it is more than the vehicle's radius."""
 
     resolution: float = 0.1
-    """Side [m] of the cells on which places to fly through are looked for: larger for a map that has too many of them."""
+    """Side [m] of the cells on which places to fly through are looked for; larger where a map has too many of them."""
 
     planner: Planner | None = None
     """Who allots the times between waypoints; no-policy: distance / 2.5 m/s; pretrained: a policy that imitates the
