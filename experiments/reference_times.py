@@ -157,7 +157,7 @@ def artefacts(config: Config) -> list[Path]:
 
 
 EXPERIMENT = Experiment(
-    summary="an offline optimum of the time to intercept for Table I's episodes, each proved by a flight",
+    summary="An offline optimum of the time to intercept for Table I's episodes, each proved by a flight",
     presets={
         "smoke": Config(worlds=("env1",), episodes=2, starts=4, rounds=6),
         "small": Config(),

@@ -32,6 +32,8 @@ _FASTEST_TARGET = 50.0
 """m/s; arbitrary, far above any vehicle here: a larger value is a mistake of units."""
 _LARGEST_PADDING = 10.0
 """m; arbitrary: a larger value is a mistake of units."""
+_LARGEST_RESOLUTION = 1.0
+"""m; the coarsest lattice of the interception paper."""
 _LATEST_DEPARTURE = 600.0
 """s; arbitrary: a larger value is a mistake of units."""
 
@@ -71,6 +73,9 @@ class InterceptConfig:
 
     padding: float = 0.5
     """Distance [m] that goals and paths keep from obstacles; it is more than the vehicle's radius."""
+
+    resolution: float = 0.1
+    """Side [m] of the cells on which places to fly through are looked for; larger where a map has too many of them."""
 
     planner: Planner | None = None
     """Who allots the times between waypoints; no-policy: distance / 2.5 m/s; pretrained: a policy that imitates the
@@ -143,6 +148,7 @@ class InterceptConfig:
         if self.placing is not None:
             _require_name("placing", self.placing)
         _require_up_to("padding", self.padding, _LARGEST_PADDING, "m")
+        _require_up_to("resolution", self.resolution, _LARGEST_RESOLUTION, "m")
         if self.planner is not None:
             _require_choice("planner", self.planner, PLANNERS)
         self._validate_own()

@@ -38,6 +38,8 @@ from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import World
 
+_FAR = 50.0
+"""m; arbitrary: numbers of a flight in a room that are all smaller are hardly millimetres."""
 POINTS_AT_ONCE = 1024
 """Points whose distance to the world is computed in one call (arbitrary)."""
 
@@ -101,7 +103,7 @@ def build_scenario(config: InterceptConfig, *, exhaustive: bool = False, planner
     distance = distance_in(world)
     planning = planner_config(config, exhaustive)
     _check_target(target, world, distance)
-    start = _start(config, world, target, planning.padding)
+    start = _start(config, world, target)
     _check_start(start, world, vehicle, distance)
     check_padding(config.padding, vehicle)
     planner = _planner(config, planning, world, vehicle) if planner is None else planner.in_world(world)
@@ -176,7 +178,7 @@ def with_a_planner(config: InterceptConfig, vehicle: Vehicle) -> InterceptConfig
 def planner_config(config: InterceptConfig, exhaustive: bool = False) -> PlannerConfig:
     """What a configuration asks of the planner; one that stops at the target is no faster than its policy says."""
     usual = PlannerConfig(exhaustive=exhaustive, meet=config.meet, heading=config.heading, padding=config.padding)
-    usual = dataclasses.replace(usual, selection=config.selection)
+    usual = dataclasses.replace(usual, selection=config.selection, resolution=config.resolution)
     alone = config.planner == "no-policy" or config.meet == "rest"
     usual = dataclasses.replace(usual, allocate=config.allocate or ("policy" if alone else "both"))
     if config.planner == "no-policy" and usual.allocate == "profile" and config.meet != "rest":
@@ -222,13 +224,15 @@ def _policy(config: InterceptConfig) -> tuple[Policy, Classifier | None]:
     return load_policy(config.planner), load_classifier("mfrl") if config.planner == "mfrl" else None
 
 
-def _start(config: InterceptConfig, world: World, target: Target, padding: float) -> Float[np.ndarray, "3"]:
+def _start(config: InterceptConfig, world: World, target: Target) -> Float[np.ndarray, "3"]:
     """The start that was asked for, or the world's own, or a free place at some distance from the target."""
     if config.start is not None:
         return np.asarray(config.start, dtype=float)
     if world.start is not None:
         return np.asarray(world.start, dtype=float)
-    lattices = build_lattices(world, SearchConfig(method="multi-resolution", padding=padding))
+    resolutions = tuple(config.resolution * factor for factor in (1, 2, 5, 10))
+    options = SearchConfig(method="multi-resolution", resolutions=resolutions, padding=config.padding)
+    lattices = build_lattices(world, options)
     return reachable_place(lattices, world, target.position(np.array([0.0]))[0])
 
 
@@ -237,11 +241,23 @@ def _check_target(target: Target, world: World, distance: DistanceFunction) -> N
     free = distance(target.position(times))
     if not (free > 0.0).all():
         first = int(np.argmax(~(free > 0.0)))
-        where = ", ".join(f"{value:.2f}" for value in target.position(times[first : first + 1])[0])
+        there = target.position(times[first : first + 1])[0]
         raise InputError(
-            f"target {target.name!r}: at t = {times[first]:.2f} s it is at ({where}) m, outside world {world.name!r} "
-            f"or inside an obstacle; give a target that flies in this world{_suspicion(target, distance)}"
+            f"target {target.name!r}: at t = {times[first]:.2f} s it is at {_point(there)} m, {_lost(there, world)}; "
+            f"give a target that flies in this world{_suspicion(target, distance)}"
         )
+
+
+def _lost(place: Float[np.ndarray, "3"], world: World) -> str:
+    """Why nobody can be at a place [m] that is not free."""
+    lower, upper = np.asarray(world.bounds, dtype=float)
+    if ((lower <= place) & (place <= upper)).all():
+        return f"inside an obstacle of world {world.name!r}"
+    return f"outside world {world.name!r}, which is from {_point(lower)} to {_point(upper)} m"
+
+
+def _point(place: Float[np.ndarray, "3"]) -> str:
+    return f"({', '.join(f'{value:.2f}' for value in place)})"
 
 
 def _suspicion(target: Target, distance: DistanceFunction) -> str:
@@ -249,7 +265,7 @@ def _suspicion(target: Target, distance: DistanceFunction) -> str:
     positions = target.position(np.linspace(0.0, target.duration, 50))
     if (distance(positions[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0])) > 0.0).all():
         return "; its numbers look like north, east, down: --frame ned"
-    if (distance(1e-3 * positions) > 0.0).all():
+    if np.abs(positions).max() > _FAR and (distance(1e-3 * positions) > 0.0).all():
         return "; its numbers look like millimetres: write so into the header, as x [mm]"
     return ""
 

@@ -26,6 +26,7 @@ from jaxplan.cli.vehicle import vehicle
 from jaxplan.cli.view import view
 from jaxplan.cli.world import world
 from jaxplan.errors import JaxplanError
+from jaxplan.names import meant
 
 EXIT_USAGE = 2
 EXIT_INTERNAL = 70
@@ -78,7 +79,7 @@ def run(arguments: Sequence[str]) -> int:
     if not arguments:
         print(WELCOME)
         return 0
-    unknown = unknown_trainer(arguments[1:]) if arguments[0] == "train" else None
+    unknown = unknown_trainer(arguments[1:]) if arguments[0] == "train" else _unknown_command(arguments[0])
     if unknown is not None:
         return _report(unknown, EXIT_USAGE, arguments)
     try:
@@ -89,8 +90,8 @@ def run(arguments: Sequence[str]) -> int:
         cause = _library_error(error)
         if cause is not None:
             return _report(str(cause), cause.exit_code, arguments)
-        known = arguments[0] if arguments and arguments[0] in app else "intercept"
-        return _report(f"{str(error).rstrip('.')}; see: jaxplan {known} --help", EXIT_USAGE, arguments)
+        command = "" if arguments[0].startswith("-") else f" {arguments[0]}"
+        return _report(f"{str(error).rstrip('.')}; see: jaxplan{command} --help", EXIT_USAGE, arguments)
     except JaxplanError as error:
         return _report(str(error), error.exit_code, arguments)
     except KeyboardInterrupt:
@@ -103,6 +104,14 @@ def run(arguments: Sequence[str]) -> int:
         return _report(text, EXIT_INTERNAL, arguments)
 
 
+def _unknown_command(name: str) -> str | None:
+    """What is wrong where it is none of the commands, nor an option that stands alone."""
+    if name in app:
+        return None
+    commands = [command for command in app if not command.startswith("-")]
+    return f"there is no command {name!r}: want one of {', '.join(commands)}{meant(name, commands)}"
+
+
 def _library_error(error: BaseException) -> JaxplanError | None:
     """The error of this library that the argument parser wrapped, if any."""
     cause: BaseException | None = error
@@ -112,7 +121,7 @@ def _library_error(error: BaseException) -> JaxplanError | None:
 
 
 def _report(text: str, code: int, arguments: Sequence[str]) -> int:
-    if "--debug" in arguments:
+    if "--debug" in arguments and sys.exception() is not None:
         traceback.print_exc()
     print(f"jaxplan: {' '.join(text.split())}", file=sys.stderr)
     return code

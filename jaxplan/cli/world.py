@@ -29,6 +29,7 @@ def world(file: str, *, padding: float = 0.5, out: str = "world.png", debug: boo
     from jaxplan.io.targets import load_target, stored_targets
     from jaxplan.viz.world import draw_world_picture
     from jaxplan.world.load import load_world
+    from jaxplan.world.occupancy import RESOLUTIONS, fitting_resolution
     from jaxplan.world.report import lattice_reports, obstacle_counts
 
     read = load_world(file)
@@ -36,11 +37,14 @@ def world(file: str, *, padding: float = 0.5, out: str = "world.png", debug: boo
     print(f"{read.provenance}\nextent    {size} m, from {read.bounds[0].tolist()} to {read.bounds[1].tolist()}")
     print("obstacles " + (", ".join(f"{count} {kind}" for kind, count in obstacle_counts(read).items()) or "none"))
     print(f"{'lattice':>9} {'cells':>10} {'occupied':>9} {'largest free part':>18} {'parts':>6}")
-    for row in lattice_reports(read, padding=padding):
-        cells = f"{row.resolution:>7g} m {row.cells:>10} {row.occupied:>9.1%} {row.largest:>18.1%} {row.parts:>6}"
-        print(cells)
+    finest = fitting_resolution(read)
+    for row in lattice_reports(read, tuple(finest * ratio for ratio in (1, 2, 5, 10)), padding):
+        largest = f"{row.largest:.1%}" if row.parts else "-"
+        print(f"{row.resolution:>7g} m {row.cells:>10} {row.occupied:>9.1%} {largest:>18} {row.parts:>6}")
+    if finest > RESOLUTIONS[0]:
+        print(f"too large for cells of {RESOLUTIONS[0]:g} m: jaxplan intercept --resolution {finest:g}")
     targets = [load_target(name, world=file) for name in stored_targets(file)]
     curves = {target.name: target.position(np.linspace(0.0, target.duration, 400)) for target in targets}
-    draw_world_picture(read, Path(out), curves, padding)
+    draw_world_picture(read, Path(out), curves, padding, finest)
     print(f"picture   {out}")
     return 0

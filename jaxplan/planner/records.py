@@ -1,6 +1,7 @@
 """What the planner is told and what it returns."""
 
 import dataclasses
+import operator
 from typing import NamedTuple, Protocol, SupportsIndex
 
 import numpy as np
@@ -150,12 +151,27 @@ class Plans:
     margins: Margins
 
     def spline(self, index: SupportsIndex) -> PiecewisePolynomial:
-        """The trajectory to candidate ``index`` (host, NumPy)."""
-        return self.splines.spline(int(self.trajectory[index]))
+        """The trajectory to candidate ``index`` (host, NumPy).
+
+        Raises ``InputError`` where there is no such candidate, as for the -1 of ``select``, or it has no trajectory.
+        """
+        return self.splines.spline(self._place(index))
 
     def probability(self, index: SupportsIndex) -> float:
-        """Of candidate ``index`` being tracked, by the classifier; NaN where the rotor limits decided."""
-        return float(np.asarray(self.margins.probability)[self.trajectory[index]])
+        """Of candidate ``index`` being tracked, by the classifier; NaN where the rotor limits decided.
+
+        Raises as ``spline`` does.
+        """
+        return float(np.asarray(self.margins.probability)[self._place(index)])
+
+    def _place(self, index: SupportsIndex) -> int:
+        """Of a candidate's trajectory among all of them; never the last one by accident."""
+        number, count = operator.index(index), len(self.trajectory)
+        if not 0 <= number < count:
+            raise InputError(f"plans: have candidate {number}, want 0 to {count - 1}; -1 says that nothing is usable")
+        if self.trajectory[number] < 0:
+            raise InputError(f"plans: candidate {number} has no trajectory; its reasons say why")
+        return int(self.trajectory[number])
 
 
 def select(plans: Plans) -> int:

@@ -86,7 +86,7 @@ def animate(replay: Replay, path: Path) -> int:
         ResourceError: an MP4 is wanted and there is no ffmpeg.
     """
     if path.suffix == ".mp4" and not animation.FFMpegWriter.isAvailable():
-        raise ResourceError(f"{path}: an MP4 needs ffmpeg, which is not installed; install it, or write a GIF instead")
+        raise ResourceError("an MP4 needs ffmpeg, which is not installed; install it, or write a GIF instead")
     figure, views, caption = _figure(replay)
     instants = frame_times(replay)
     if path.suffix == ".gif":

@@ -14,13 +14,11 @@ from matplotlib.patches import Patch
 
 from jaxplan.viz.scene import EDGE, FAINT, FILL, draw_world
 from jaxplan.world.obstacles import World
-from jaxplan.world.occupancy import PADDING, occupancy_lattices
+from jaxplan.world.occupancy import PADDING, RESOLUTIONS, occupancy_lattices
 
 _WIDTH = 9.0
 """Inches."""
 _PADDED = "#e9c46a"
-_RESOLUTION = 0.1
-"""m; of the padded map."""
 
 
 def draw_world_picture(
@@ -28,6 +26,7 @@ def draw_world_picture(
     path: Path,
     curves: dict[str, Float[np.ndarray, "n 3"]] | None = None,
     padding: float = PADDING,
+    resolution: float = RESOLUTIONS[0],
 ) -> None:
     """Write a PNG: the section at the start's height (or half-way up), and the side view half-way through.
 
@@ -36,6 +35,7 @@ def draw_world_picture(
         path: where to.
         curves: target trajectories by name [m].
         padding: what the planner keeps from obstacles [m], drawn in yellow.
+        resolution: side of a cell of the padded map [m].
     """
     lower, upper = np.asarray(world.bounds, dtype=float)
     width, depth, height = upper - lower
@@ -45,11 +45,11 @@ def draw_world_picture(
     figure = Figure(figsize=(_WIDTH, 0.9 * _WIDTH * (depth + height) / width + 1.4), layout="constrained")
     FigureCanvasAgg(figure)
     above, side = figure.subplots(2, 1, height_ratios=[depth, max(height, 0.12 * depth)])
-    grid = occupancy_lattices(world, (_RESOLUTION,), padding)[0]
+    grid = occupancy_lattices(world, (resolution,), padding)[0]
     for axes, across in ((above, 2), (side, 1)):
         shown = [axis for axis in range(3) if axis != across]
         index = min(int((levels[across] - grid.origin[across]) / grid.resolution), grid.shape[across] - 1)
-        _draw_padding(axes, np.take(grid.near_obstacle, index, axis=across), lower[shown])
+        _draw_padding(axes, np.take(grid.near_obstacle, index, axis=across), lower[shown], resolution)
         draw_world(axes, world, across, levels[across], None if world.start is None else np.asarray(world.start))
         for number, (name, curve) in enumerate((curves or {}).items()):
             axes.plot(*curve[:, shown].T, color=f"C{number % 10}", linewidth=1.1, label=name, zorder=3)
@@ -80,9 +80,9 @@ def _draw_legend(figure: Figure, above: Axes, world: World, padding: float) -> N
     figure.legend(*zip(*entries, strict=True), loc="outside lower center", ncols=4, fontsize=8, frameon=False)
 
 
-def _draw_padding(axes: Axes, padded: Bool[np.ndarray, "a b"], lower: Float[np.ndarray, "2"]) -> None:
-    """Colour the padded cells of one section, whose first corner is at ``lower`` [m]."""
+def _draw_padding(axes: Axes, padded: Bool[np.ndarray, "a b"], lower: Float[np.ndarray, "2"], side: float) -> None:
+    """Colour the padded cells of one section, whose first corner is at ``lower`` [m] and whose cells have that side."""
     image = np.ma.masked_where(~padded.T, np.ones(padded.T.shape))
-    ends = lower + np.array(padded.shape) * _RESOLUTION
+    ends = lower + np.array(padded.shape) * side
     extent = (lower[0], ends[0], lower[1], ends[1])
     axes.imshow(image, origin="lower", extent=extent, cmap=ListedColormap([_PADDED]), alpha=0.35, zorder=0.5)

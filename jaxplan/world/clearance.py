@@ -24,6 +24,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxplan.arrays import AnyArray
+from jaxplan.errors import InputError
 from jaxplan.world.obstacles import Boxes, Capsules, Cylinders, DistanceGrid, Mesh, Obstacles, Planes, Spheres, World
 
 _FEW = 32
@@ -64,10 +65,12 @@ def clearance(world: World | Obstacles, points: Float[AnyArray, "*batch 3"]) -> 
 
     The room's own faces do not count (see ``wall_clearance``). Exact for primitives; for a mesh and for
     voxels a lower bound that is never negative. No obstacle at all: inf. A point with a coordinate that is not
-    finite: NaN, so that ``clearance >= margin`` is False.
+    finite: NaN, so that ``clearance >= margin`` is False. Raises ``InputError`` for points without three coordinates.
     """
     obstacles = world.obstacles if isinstance(world, World) else world
     points = jnp.asarray(points)
+    if points.ndim == 0 or points.shape[-1] != 3:
+        raise InputError(f"clearance: points have shape {points.shape}, want (..., 3)")
     finite = jnp.isfinite(points).all(axis=-1)
     p = _Points(*(jnp.where(finite, points[..., axis], 0.0) for axis in range(3)))
     kinds = obstacles.boxes, obstacles.cylinders, obstacles.planes, obstacles.spheres, obstacles.capsules

@@ -106,6 +106,18 @@ def _factors(resolutions: tuple[float, ...]) -> list[int]:
     return factors
 
 
+def fitting_resolution(world: World, resolution: float = RESOLUTIONS[0]) -> float:
+    """That side of a cell [m], or the smallest whole centimetres with which a room has few enough cells."""
+    bounds = np.asarray(world.bounds, dtype=np.float64)
+    cells = float(np.prod(np.maximum(np.ceil((bounds[1] - bounds[0]) / resolution - 1e-6), 1.0)))
+    return resolution if cells <= MAX_CELLS else _fitting(resolution, cells)
+
+
+def _fitting(resolution: float, cells: float) -> float:
+    """Whole centimetres [m], with a hundredth to spare, where cells of side ``resolution`` [m] are too many."""
+    return float(np.ceil(100.0 * resolution * np.cbrt(cells / MAX_CELLS) * 1.01) / 100.0)
+
+
 def finest_shape(world: World, resolution: float) -> tuple[int, int, int]:
     """Cells of that side [m] along each axis of a room.
 
@@ -115,11 +127,11 @@ def finest_shape(world: World, resolution: float) -> tuple[int, int, int]:
     sides = np.maximum(np.ceil((bounds[1] - bounds[0]) / resolution - 1e-6), 1.0)
     cells = float(np.prod(sides))
     if not cells <= MAX_CELLS:
-        fits = np.ceil(100.0 * resolution * np.cbrt(cells / MAX_CELLS) * 1.01) / 100.0
+        fits = _fitting(resolution, cells)
         raise InputError(
             f"world {world.name!r}: have {cells:.3g} cells of {resolution:g} m, which take "
             f"{cells * BYTES_PER_CELL / 1e6:.0f} MB, want at most {MAX_CELLS * BYTES_PER_CELL / 1e6:.0f} MB; "
-            f"use a smaller room or a finest resolution of {fits:g} m"
+            f"use a smaller room or a resolution of {fits:g} m (--resolution {fits:g})"
         )
     nx, ny, nz = (int(side) for side in sides)
     return nx, ny, nz

@@ -197,8 +197,9 @@ def test_scenarios_that_do_not_fit_are_refused(options, said):
 def test_target_outside_the_room_is_refused(tmp_path):
     path = tmp_path / "away.csv"
     path.write_text("t,x,y,z\n0,0,1,1\n1,2,1,1\n2,30,1,1\n")
-    with pytest.raises(InputError, match="outside world"):
+    with pytest.raises(InputError, match=r"outside world 'env1', which is from \(-5.00, -5.00, 0.00\) to ") as refusal:
         build_scenario(InterceptConfig(target=str(path)))
+    assert "millimetres" not in str(refusal.value)  # a few metres are no millimetres
 
 
 def test_stored_targets_are_free_and_have_the_wanted_speed(scenario):

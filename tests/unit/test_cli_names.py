@@ -107,7 +107,15 @@ def test_the_package_is_a_command_too(tmp_path: Path) -> None:
         [sys.executable, "-m", "jaxplan", "intercpt"], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert child.returncode == 2
-    assert 'Did you mean "intercept"?' in child.stderr
+    assert child.stderr.endswith("train, cache, experiment; did you mean 'intercept'?\n")  # all of them, by name
+
+
+def test_what_no_error_was_raised_for_has_no_traceback(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments in (["--nonsense", "--debug"], ["train", "pretrian", "--debug"]):
+        assert cli.run(arguments) == 2
+        error = capsys.readouterr().err
+        assert error.startswith("jaxplan: ")
+        assert error.count("\n") == 1
 
 
 def test_every_ending_has_a_reader() -> None:

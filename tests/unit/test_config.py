@@ -19,6 +19,8 @@ BAD: list[dict[str, Any]] = [
     {"speed": 51.0},
     {"speed": True},
     {"speed": "fast"},
+    {"resolution": 0.0},
+    {"resolution": 2.0},
     {"departure": math.nan},
     {"departure": -0.1},
     {"departure": 1e9},

@@ -70,7 +70,7 @@ def test_the_camera_is_a_pinhole() -> None:
 
 def test_a_video_needs_ffmpeg(replay: Replay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(animation.animation.FFMpegWriter, "isAvailable", classmethod(lambda cls: False))
-    with pytest.raises(ResourceError, match="needs ffmpeg, which is not installed"):
+    with pytest.raises(ResourceError, match="^an MP4 needs ffmpeg, which is not installed"):
         animate(replay, tmp_path / "flight.mp4")
     assert not (tmp_path / "flight.mp4").exists()
 

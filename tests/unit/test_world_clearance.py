@@ -1,5 +1,7 @@
 """Exact clearance against MuJoCo's own distances, against other formulas, and what it promises beyond numbers."""
 
+import inspect
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -8,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from jaxplan.errors import InputError
 from jaxplan.records import replace
 from jaxplan.world.clearance import clearance, free_distance, wall_clearance
 from jaxplan.world.load import ENVIRONMENTS, environment_path, load_world
@@ -110,6 +113,13 @@ def test_points_that_are_not_finite_are_never_clear() -> None:
     assert np.isinf(clearance(empty, np.zeros(3)))
     world = load_world("env1")
     assert not (np.asarray(wall_clearance(world, bad)) >= 0.0).any()
+
+
+@pytest.mark.parametrize("shape", [(), (2,), (5, 2), (3, 4)])
+def test_points_without_three_coordinates_are_refused(shape: tuple[int, ...]) -> None:
+    """Two coordinates would broadcast, and pass for a point; the tests' own look at annotations is gone around."""
+    with pytest.raises(InputError, match=r"want \(..., 3\)"):
+        inspect.unwrap(clearance)(make_obstacles(), np.zeros(shape))
 
 
 def test_wall_clearance() -> None:
@@ -292,8 +302,6 @@ def test_target_of_the_example_scenario_is_clear_in_its_arena(examples) -> None:
 
 
 def test_bad_worlds_are_refused() -> None:
-    from jaxplan.errors import InputError
-
     for bounds in ([[0, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, np.nan, 1]], [[2, 0, 0], [1, 1, 1]]):
         with pytest.raises(InputError, match="bounds"):
             World(name="w", bounds=np.array(bounds, float), obstacles=make_obstacles(), keep_in=np.float64(0.1))

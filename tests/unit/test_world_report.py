@@ -70,3 +70,14 @@ def test_refusals(arguments: list[str], code: int, word: str, capsys: pytest.Cap
     error = capsys.readouterr().err
     assert word in error
     assert error.count("\n") == 1
+
+
+def test_a_room_of_too_many_cells_is_drawn_with_larger_ones(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """60 x 60 x 10 m have 36 million cells of 0.1 m; where none is free there is no largest part."""
+    room = '{"bounds": {"extents": [0, 60, 0, 60, 0, 10]}, "blocks": [{"extents": [20, 40, 20, 40, 0, 10]}]}'
+    (tmp_path / "yard.json").write_text(room)
+    assert run(["world", str(tmp_path / "yard.json"), "--padding", "30", "--out", str(tmp_path / "map.png")]) == 0
+    text = capsys.readouterr().out
+    assert "too large for cells of 0.1 m: jaxplan intercept --resolution 0.14" in text
+    assert "nan" not in text
+    assert (tmp_path / "map.png").exists()
