@@ -72,7 +72,8 @@ class InterceptConfig:
     """A preset (jaxplan vehicle lists them), or a file: TOML of the presets' form, or MJCF (.xml)."""
 
     padding: float = 0.5
-    """Distance [m] that goals and paths keep from obstacles; it is more than the vehicle's radius."""
+    """Distance [m] that goals and searched paths keep from obstacles. What is flown keeps the vehicle's radius and a
+    margin for tracking, not this."""
 
     resolution: float = 0.1
     """Side [m] of the cells on which places to fly through are looked for; larger where a map has too many of them."""
