@@ -1,20 +1,20 @@
 """What stands in which direction: no primitive that a segment can come too close to is missing from its sector."""
 
-import numba
 import numpy as np
 import pytest
 
+from jaxplan.native import entry_point
 from jaxplan.search.kernels.fans import SECTORS, look_round, sector_of
 
 LIMIT = 0.4
 
 
-@numba.njit
+@entry_point
 def fan(boxes: np.ndarray, limit: float, a: tuple, members: np.ndarray, counts: np.ndarray) -> None:
     look_round(boxes, limit, a, members, counts)
 
 
-@numba.njit
+@entry_point
 def sector(a: tuple, b: tuple) -> int:
     return sector_of(a, b)
 
