@@ -32,6 +32,9 @@ THREAD_WIDTH = 820
 """A whole solve on the host, several of which share the cores: measured for 4096 problems of 14 waypoints, where widths
 of 205 to 1400 take 5 to 40 % longer. XLA alone keeps 1.4 of 2 cores busy."""
 
+CORES = min(os.cpu_count() or 1, 4)
+"""On which ``side_by_side`` works (at most 4: arbitrary)."""
+
 
 def in_chunks(function: Callable[[Any], T], tree: Any, width: int) -> T:
     """``function(tree)`` of a batch of ``width``, a wide one in chunks of at most ``CHUNK_WIDTH``, one after the other.
@@ -98,10 +101,6 @@ def at_fixed_width(function: Callable[[Indices], Any], indices: Indices, width: 
     with ThreadPoolExecutor(min(threads, len(cuts))) as pool:
         parts = pool.map(lambda some: function(fill(some, width)), cuts)
         return join([(part, len(some)) for part, some in zip(parts, cuts, strict=True)])
-
-
-CORES = min(os.cpu_count() or 1, 4)
-"""On which ``side_by_side`` works (at most 4: arbitrary)."""
 
 
 def side_by_side(function: Callable[[Any], T], parts: Iterable[Any]) -> list[T]:

@@ -1,7 +1,8 @@
 """``build_planner``, where every decision that depends on configuration is taken, and a replan from top to bottom.
 
 Only what can win is matched, solved and checked: a candidate's score depends on neither its path nor alpha, so they are
-taken in order of score, some at a time, until one passes. The winner is that of an exhaustive evaluation.
+taken in order of score, some at a time, until one passes. By the paper's eq. 9 the winner is that of an exhaustive
+evaluation; by capture scores are promises, and beside a committed plan only the best of them are tried.
 """
 
 import inspect

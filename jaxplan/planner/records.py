@@ -81,7 +81,8 @@ class PlannerConfig:
     width: int = 64
     """Candidates that the compiled stations take at a time; on a GPU, as many as there are (decision 0014)."""
     exhaustive: bool = False
-    """Match and check every candidate (the paper) instead of the best ones until one passes: the same winner."""
+    """Match and check every candidate (the paper) instead of the best ones until one passes: the same winner by
+    eq. 9."""
     knots: KnotConfig = KnotConfig()
     arrival: ArrivalConfig = ArrivalConfig(least_alpha=0.75, tolerance=1e-2)
     checks: CheckConfig = CheckConfig()
