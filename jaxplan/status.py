@@ -92,6 +92,8 @@ class PlanStatus(enum.IntEnum):
     would hit harder, and the next cycle looks again."""
     RECOVER = 9
     """The vehicle is far off its reference: it stops from where it is."""
+    SLOWED = 10
+    """The vehicle has fallen behind its reference: it flies on as planned, from where it is and as fast as it is."""
 
 
 def bit(bad: Bool[Array, "*batch"], reason: enum.IntFlag) -> UInt32[Array, "*batch"]:

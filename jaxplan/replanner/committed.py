@@ -10,6 +10,9 @@ from jaxplan.replanner.records import CommittedPlan
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import PlanStatus
 
+TIE = 1e-9
+"""s; a plan is in force so much before its takeover: times are sums, and a cycle that begins then looks at it."""
+
 
 class CommittedPlans:
     """Begins with one plan; one that is added takes over at its ``start_time``."""
@@ -52,7 +55,7 @@ class CommittedPlans:
         """The commanded flat state at ``times`` [s], each from the plan in force then."""
         times = np.asarray(times, dtype=float)
         starts = np.array([plan.start_time for plan in self.plans])
-        active = np.searchsorted(starts, times, side="right") - 1
+        active = np.searchsorted(starts, times + TIE, side="right") - 1
         derivatives, yaw = np.empty((len(times), 5, 3)), np.empty((len(times), 3))
         for index in np.unique(active):
             plan, mine = self.plans[index], active == index

@@ -41,11 +41,12 @@ from jaxplan.replanner.choice import (
     seed_of_plan,
     seed_towards,
 )
+from jaxplan.replanner.governor import Lag, slower
 from jaxplan.replanner.incumbent import NO_INCUMBENT, Incumbent, incumbent_among
 from jaxplan.replanner.pace import Pace
 from jaxplan.replanner.passing import Passing
 from jaxplan.replanner.records import CommittedPlan, ReplannerConfig
-from jaxplan.spline import PiecewisePolynomial
+from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import PlanStatus, Reason
 
 LOOKED_AT = 4
@@ -92,6 +93,8 @@ class Known(NamedTuple):
     """The model of the vehicle, where it is measured."""
     passing: Passing | None = None
     """What moves, where that is known."""
+    lag: Lag | None = None
+    """Of the vehicle behind the committed plan, where it has fallen behind."""
 
     @property
     def since(self) -> float:
@@ -135,6 +138,19 @@ class Decision:
                 farther = min(farther, self._known.passing.nearest)
             softer = best >= 0 and bool(flown.clearance[best] > farther + FARTHER)
         return PlanStatus.BLOCKED, chosen_from(stops, best, np.nan) if softer else None
+
+    def governed(self, outcome: Outcome) -> Outcome:
+        """What is committed, slower, where the vehicle has fallen behind it and no other interception is found."""
+        known, (status, chosen) = self._known, outcome
+        if known.lag is None or (chosen is not None and status is PlanStatus.INTERCEPT):
+            return outcome
+        committed = known.committed
+        for spline, slowdown in slower(committed.spline, known.lag):
+            clear = known.ahead is None or known.ahead.along(spline, known.start.takeover).clear[0]
+            if clear and self._is_valid(spline, None, 0.0):
+                arrival = slowdown * (committed.arrival_time - committed.start_time - known.lag.since)
+                return PlanStatus.SLOWED, Chosen(spline, committed.goal, arrival, slowdown, np.nan)
+        return outcome
 
     def _passed(self, stops: Stops, flown: Rollouts | None) -> tuple[Stops, Rollouts | None]:
         """Stops, and their flights in the model, that are not clear where something that moves hits them."""
@@ -281,15 +297,20 @@ class Decision:
 
     def _passes(self, spline: PiecewisePolynomial) -> bool:
         """The last look at a plan, and its flight in the model."""
-        start, ahead, passing = self._known.start, self._known.ahead, self._known.passing
-        if self._planner.validate(spline, 0.0, start.state, start.wider).faults:
-            return False
-        if passing is not None and not passing.along(spline, start.takeover)[0] >= passing.keep:
+        start, ahead = self._known.start, self._known.ahead
+        if not self._is_valid(spline, start.state, start.wider):
             return False
         if ahead is None:
             return True
         flown = ahead.along(spline, start.takeover)
         return bool(flown.clear[0] and flown.followed[0])
+
+    def _is_valid(self, spline: PiecewisePolynomial, state: FlatState | None, wider: float) -> bool:
+        """The last look at a plan, which begins in ``state`` where that is given, and at what moves."""
+        if self._planner.validate(spline, 0.0, state, wider).faults:
+            return False
+        passing = self._known.passing
+        return passing is None or bool(passing.along(spline, self._known.start.takeover)[0] >= passing.keep)
 
 
 def _worth(prospect: Prospect, among: Flights) -> Float[np.ndarray, "k"]:

@@ -28,6 +28,7 @@ from jaxplan.replanner.ahead import Ahead, look_ahead
 from jaxplan.replanner.choice import Chosen, Start
 from jaxplan.replanner.committed import CommittedPlans, hold
 from jaxplan.replanner.decision import Decision, Known
+from jaxplan.replanner.governor import Lag, lag_behind
 from jaxplan.replanner.measured import carried_on, heading_near, turn_from, usual_measured
 from jaxplan.replanner.pace import Pace
 from jaxplan.replanner.passing import Passing, Ways, usual_ways
@@ -150,12 +151,13 @@ class Replanner:
         passing = None if self._ways is None else Passing(self._ways, self._committed, now)
         certain = self._certain and (ahead is None or _comes_back(ahead, self.config.replan_beyond))
         certain = certain and (passing is None or passing.is_kept)
-        known = Known(start, candidates, prospect, self.committed, certain, ahead, passing)
+        lag = self._lag(now, start.takeover, measured)
+        known = Known(start, candidates, prospect, self.committed, certain, ahead, passing, lag)
         decision = Decision(self.planner, self.config, self._pace, latency, known, timer)
         lost = start.deviation > self.config.stop_beyond
         above = np.inf if lost else decision.incumbent.score
         plans = self.planner.plan_batch(start.state, candidates, timer, above)
-        status, chosen = decision.stop(PlanStatus.RECOVER) if lost else decision.among(plans)
+        status, chosen = decision.governed(decision.stop(PlanStatus.RECOVER) if lost else decision.among(plans))
         timer.lap("select")
         if chosen is not None and self.config.drop_late and timer.total > 1e3 * latency:
             status, chosen = PlanStatus.LATE, None
@@ -198,6 +200,13 @@ class Replanner:
             return Start(then, takeover, deviation, False, 0.0)
         return Start(state, takeover, deviation, True, self.config.wider_margin)
 
+    def _lag(self, now: float, takeover: float, measured: Measured | None) -> Lag | None:
+        """How far the vehicle, as fast as it is now, will be behind what is committed."""
+        if measured is None:
+            return None
+        position = measured.position + (takeover - now) * measured.velocity
+        return lag_behind(self.committed.spline, takeover - self.committed.start_time, position, measured.velocity)
+
     def _keep_heading(self, now: float, measured: Measured | None) -> None:
         """Let the reference have the vehicle's heading, where the vehicle cannot hold the reference's."""
         if measured is None or measured.attitude is None:
@@ -214,6 +223,8 @@ class Replanner:
     def _commit(self, chosen: Chosen, start: Start, status: PlanStatus) -> Float[np.ndarray, "5"]:
         """Add a plan; returns its discontinuity from where it should begin, as ``Cycle.jump``."""
         spline = chosen.spline
+        if status is PlanStatus.SLOWED:
+            start = start._replace(state=spline.state(0.0), measured=True)
         plan = CommittedPlan(
             start_time=start.takeover,
             spline=spline,

@@ -25,6 +25,7 @@ STATUSES = {
     PlanStatus.BRAKE: ("brakes", "#A8327D"),
     PlanStatus.BLOCKED: ("blocked, hits least", "#882255"),
     PlanStatus.RECOVER: ("off its reference, stops", "#A8327D"),
+    PlanStatus.SLOWED: ("behind its reference, slower", "#B36B00"),
 }
 """What a cycle came to, in words, and its colour."""
 
