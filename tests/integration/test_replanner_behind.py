@@ -13,6 +13,7 @@ from jaxplan.status import PlanStatus
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import load_world
 from oracles.planner_cases import CONFIG, START
+from tolerances import assert_close
 
 GOAL = START + np.array([0.3, 3.3, 0.0])
 SEEN = first_observation(0.0, START)
@@ -70,7 +71,7 @@ def test_it_flies_the_same_path_from_where_it_is_and_as_fast_as_it_is(planner):
     path = np.asarray(before.spline.sample(4000)[1])[:, :3]
     flown = np.asarray(after.spline.sample(50)[1])[:, :3]
     assert np.linalg.norm(flown[:, None] - path, axis=2).min(axis=1).max() < 0.01
-    np.testing.assert_allclose(flown[-1], path[-1], atol=1e-9)
+    assert_close(flown[-1], path[-1], "formula")
     assert after.arrival_time > before.arrival_time
     assert not replanner.planner.validate(after.spline, 0.0, None, 0.0).faults & Fault.CLEARANCE
 
@@ -102,4 +103,4 @@ def test_the_cycle_at_its_takeover_looks_at_the_slower_plan(planner):
     slowed = replanner.committed
     assert slowed.status is PlanStatus.SLOWED
     early = slowed.start_time - 1e-12
-    np.testing.assert_allclose(replanner.reference(np.array([early])).pos[0], slowed.spline.state(0.0).pos)
+    assert_close(replanner.reference(np.array([early])).pos[0], slowed.spline.state(0.0).pos, "formula")
