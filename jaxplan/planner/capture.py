@@ -12,14 +12,12 @@ import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
-from jaxplan.arrays import AnyArray, namespace
 from jaxplan.batching import pick
 from jaxplan.minsnap.spline_batch import SplineBatch
+from jaxplan.planner.kernels.captures import expected_times
 from jaxplan.prediction.candidates import Candidates, candidates_from
 from jaxplan.prediction.futures import Futures
 from jaxplan.spline import FlatState, PiecewisePolynomial
@@ -136,32 +134,22 @@ def capture_time(prospect: Prospect, spline: PiecewisePolynomial, since: float =
     return float(_of_ways(prospect, np.asarray(spline.evaluate(at))[:, :3, None])[0])
 
 
-@jax.jit
 def straight_capture_times(
-    prospect: Prospect, state: FlatState, goals: Float[Array, "k 3"], times: Float[Array, "k"]
-) -> Float[AnyArray, "k"]:
+    prospect: Prospect, state: FlatState, goals: Float[np.ndarray, "k 3"], times: Float[np.ndarray, "k"]
+) -> Float[np.ndarray, "k"]:
     """The same before there are trajectories: at a constant acceleration to each goal [m], to be there at its time [s].
 
     They stop soon behind their goals.
     """
-    position, velocity = jnp.asarray(state.pos), jnp.asarray(state.vel)
-    whole = jnp.maximum(times, STEP)
-    since = jnp.minimum(jnp.asarray(prospect.times)[:, None], whole[None] + 2.0 * STEP)
-    missed = goals - position[None] - velocity[None] * whole[:, None]
-    share = (since / whole[None]) ** 2
-    way = position[None, :, None] + since[:, None] * velocity[None, :, None] + share[:, None] * missed.T[None]
+    position, velocity = np.asarray(state.pos, float), np.asarray(state.vel, float)
+    whole = np.maximum(times, STEP)
+    since = np.minimum(prospect.times[:, None], whole + 2.0 * STEP)
+    missed = goals - position - velocity * whole[:, None]
+    share = (since / whole) ** 2
+    way = position[:, None] + since[:, None] * velocity[:, None] + share[:, None] * missed.T
     return _of_ways(prospect, way)
 
 
-def _of_ways(prospect: Prospect, ways: Float[AnyArray, "u 3 k"]) -> Float[AnyArray, "k"]:
+def _of_ways(prospect: Prospect, ways: Float[np.ndarray, "u 3 k"]) -> Float[np.ndarray, "k"]:
     """Expected seconds until capture along the positions of k plans [m, world] at the instants of the prospect."""
-    xp, times, motions = namespace(ways), prospect.times, prospect.motions
-    apart = sum((motions[:, :, axis, None] - ways[:, None, axis]) ** 2 for axis in range(3))
-    beyond = xp.sqrt(apart) - prospect.reach[:, None, None]
-    inside = beyond <= 0.0
-    first = xp.argmax(inside, axis=0)[None]
-    there, before = (xp.take_along_axis(beyond, xp.maximum(first - by, 0), axis=0)[0] for by in (0, 1))
-    share = xp.where(first[0] > 0, before / xp.maximum(before - there, 1e-9), 1.0)
-    captured = xp.maximum(xp.asarray(times)[first[0]] - (times[1] - times[0]) * (1.0 - share), 0.0)
-    missed = times[-1] + xp.maximum(beyond[-1], 0.0) / RETURN_SPEED
-    return xp.asarray(prospect.weights) @ xp.where(xp.any(inside, axis=0), captured, missed)
+    return expected_times(*prospect, ways, RETURN_SPEED)

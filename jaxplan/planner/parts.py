@@ -42,7 +42,6 @@ Members = Int[np.ndarray, "n"]
 anew in each call, and what jaxtyping makes lies in a cycle until it is collected."""
 _Reasons = UInt32[AnyArray, "n"]
 _Times = Float[AnyArray, "m n"]
-_Scores = Float[AnyArray, "n"]
 
 
 class Allocation(NamedTuple):
@@ -117,12 +116,7 @@ class Parts(NamedTuple):
         if prospect is None or not len(times):
             return self.config.likelihood_weight * np.asarray(candidates.likelihood) - times
 
-        thinned = prospect.thinned()
-
-        def ask(some: Members) -> _Scores:
-            return -straight_capture_times(thinned, state, goals[some], times[some])
-
-        return at_fixed_width(ask, np.arange(len(times)), GOALS_AT_ONCE)
+        return -straight_capture_times(prospect.thinned(), state, goals, times)
 
     def search(
         self, state: FlatState, goals: Float[np.ndarray, "k 3"], target: Float[np.ndarray, "3"], alternatives: int = 1

@@ -1,0 +1,1 @@
+"""Compiled parts of the comparison of plans (host)."""

@@ -1,0 +1,92 @@
+"""When futures are captured from ways, compiled (host): each is followed until then, and no farther."""
+
+import functools
+import math
+from typing import Protocol, no_type_check, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxplan.planner.kernels.compiled import entry_point, inner, source_digest
+
+
+def expected_times(
+    times: Float[np.ndarray, "u"],
+    motions: Float[np.ndarray, "u n 3"],
+    weights: Float[np.ndarray, "n"],
+    reach: Float[np.ndarray, "u"],
+    ways: Float[np.ndarray, "u 3 k"],
+    return_speed: float,
+) -> Float[np.ndarray, "k"]:
+    """Expected seconds until capture along each of k ways.
+
+    Args:
+        times: even instants [s].
+        motions: of n futures [m, world].
+        weights: of the futures; those without are not looked at.
+        reach: how far from a way [m] a future is captured at each instant; not negative.
+        ways: positions of the plans [m, world].
+        return_speed: at which what is missed at the end is counted [m/s].
+    """
+    some = np.flatnonzero(weights)
+    futures = np.ascontiguousarray(np.moveaxis(np.asarray(motions, float)[:, some], 1, 0))
+    rows = np.ascontiguousarray(np.moveaxis(np.asarray(ways, float), 2, 0))
+    expected = np.zeros(len(rows))
+    shares, far = np.ascontiguousarray(weights[some], float), np.array(reach, float)
+    _compiled()(np.array(times, float), futures, shares, far, rows, float(return_speed), expected)
+    return expected
+
+
+@runtime_checkable
+class _Expected(Protocol):
+    def __call__(
+        self,
+        times: np.ndarray,
+        futures: np.ndarray,
+        weights: np.ndarray,
+        reach: np.ndarray,
+        ways: np.ndarray,
+        return_speed: float,
+        expected: np.ndarray,
+    ) -> None:
+        """Adds to the expected times, which are zeros."""
+
+
+@functools.cache
+def _compiled() -> _Expected:
+    version = source_digest()
+
+    @entry_point
+    @no_type_check
+    def entry(times, futures, weights, reach, ways, return_speed, expected):
+        _ = version
+        for k in range(len(ways)):
+            for n in range(len(futures)):
+                expected[k] += weights[n] * _captured(times, futures[n], reach, ways[k], return_speed)
+
+    return entry  # type: ignore[no-any-return]
+
+
+@inner
+@no_type_check
+def _captured(times, future, reach, way, return_speed):
+    """When one future is captured: within an instant and the next, as their distances say, or after the last [s]."""
+    for u in range(len(times)):
+        apart = _squared(future, way, u)
+        if apart <= reach[u] * reach[u]:
+            if u == 0:
+                return max(times[0], 0.0)
+            before = math.sqrt(_squared(future, way, u - 1)) - reach[u - 1]
+            there = math.sqrt(apart) - reach[u]
+            share = before / max(before - there, 1e-9)
+            return max(times[u] - (times[1] - times[0]) * (1.0 - share), 0.0)
+    last = len(times) - 1
+    return times[last] + (math.sqrt(_squared(future, way, last)) - reach[last]) / return_speed
+
+
+@inner
+@no_type_check
+def _squared(future, way, u):
+    """Distance at one instant, squared [m^2]."""
+    x, y, z = future[u, 0] - way[u, 0], future[u, 1] - way[u, 1], future[u, 2] - way[u, 2]
+    return x * x + y * y + z * z
