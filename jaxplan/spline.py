@@ -20,7 +20,7 @@ from jaxplan.arrays import AnyArray, Scalar, namespace
 from jaxplan.errors import InputError
 from jaxplan.polynomials import control_point_table, horner, part_table
 from jaxplan.records import record
-from jaxplan.validation import as_finite
+from jaxplan.validation import as_finite, as_order
 
 Times = float | ArrayLike
 """Instants [s], one or an array of any shape."""
@@ -147,9 +147,10 @@ class PiecewisePolynomial:
     def evaluate(self, t: Times, derivative: int = 0) -> Float[AnyArray, "*t c"]:
         """Position and yaw, or their ``derivative``-th time derivative, at ``t`` [s] from the start.
 
-        Shape (..., 4) with yaw last, or (..., 3) where the spline has no yaw: m and rad per s^derivative.
+        Shape (..., 4) with yaw last, or (..., 3) where the spline has no yaw: m and rad per s^derivative. Raises
+        ``InputError`` where ``derivative`` is not a whole number from 0 on.
         """
-        xp = namespace(self.durations, t)
+        xp, derivative = namespace(self.durations, t), as_order("spline: derivative", derivative)
         segment, s, duration = self._locate(xp.asarray(t, dtype=self.durations.dtype), xp)
         s, duration = s[..., None], duration[..., None]
         position = horner(_powers(self.position[segment]), s, duration, derivative)

@@ -7,6 +7,7 @@ that look at arrays: the command line checks its options before anything slow is
 import dataclasses
 import math
 import numbers
+import operator
 import os
 from typing import Any, TypeVar, no_type_check
 
@@ -64,6 +65,25 @@ def require_path(owner: str, value: Any) -> None:
     """Raise ``InputError`` unless the value is a name or a path."""
     if not isinstance(value, str | os.PathLike):
         raise InputError(f"{owner}: have {value!r}, want a name or a path")
+
+
+@no_type_check
+def require_made_by(owner: str, value: Any, kind: type, maker: str) -> None:
+    """Raise ``InputError`` unless the value is of a kind, which ``maker`` makes."""
+    if not isinstance(value, kind):
+        raise InputError(f"{owner}: have {value!r:.80}, want a {kind.__name__} ({maker})")
+
+
+@no_type_check
+def as_order(name: str, value: Any) -> int:
+    """Which derivative, 0 for none. Raises ``InputError`` otherwise."""
+    try:
+        order = operator.index(value)
+    except TypeError:
+        order = -1
+    if order < 0:
+        raise InputError(f"{name}: have {value!r:.80}, want a whole number from 0 on")
+    return order
 
 
 def require_kinds(owner: str, config: object) -> None:

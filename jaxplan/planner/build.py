@@ -73,6 +73,7 @@ from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
 from jaxplan.search.routes import warmup as warm_up_search
 from jaxplan.search.update import update_lattices
 from jaxplan.spline import FlatState, PiecewisePolynomial, hover
+from jaxplan.validation import require_made_by
 from jaxplan.vehicle.identity import require_same_vehicle
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.obstacles import World
@@ -107,9 +108,12 @@ def build_planner(
         placing: where refinements begin; without one at the plans that were chosen.
 
     Raises:
-        InputError: policy or classifier were made for another vehicle, or refined plans have other segments than a
-            placing policy's.
+        InputError: world, vehicle or policy are something else, policy or classifier were made for another vehicle, or
+            refined plans have other segments than a placing policy's.
     """
+    require_made_by("build_planner: world", world, World, "load_world")
+    require_made_by("build_planner: vehicle", vehicle, Vehicle, "load_vehicle")
+    require_made_by("build_planner: policy", policy, Policy, "load_policy or constant_speed_policy")
     require_same_vehicle(f"policy {policy.name!r}", policy.vehicle, vehicle)
     require_same_vehicle("classifier", None if classifier is None else classifier.vehicle, vehicle)
     config = config or PlannerConfig()

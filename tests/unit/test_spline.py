@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import PPoly
 
+from jaxplan.errors import InputError
 from jaxplan.spline import FlatState, FlatStateBatch, PiecewisePolynomial, hover
 from tolerances import tolerance
 
@@ -86,3 +87,8 @@ def test_a_state_of_a_batch_is_the_state() -> None:
     assert flights.pos.shape == (3, 7, 5)
     np.testing.assert_array_equal(flights.at(6, 4).acc, flights.derivatives[2, :, 6, 4])
     np.testing.assert_array_equal(flights.at(6, 4).yaw, flights.yaw[:, 6, 4])
+
+
+def test_there_is_no_derivative_of_a_negative_order(spline):
+    with pytest.raises(InputError, match="^spline: derivative: have -1"):
+        spline.evaluate(np.zeros(1), -1)
