@@ -3,8 +3,9 @@
 python -m benchmarks.bench_runtime [--seconds 30] [--kills 3] [--world env1] [--planner mfrl] [--json FILE]
 
 A vehicle that is exactly where it is to be chases a target that flies to and fro, seen ten times a second; setpoints
-are asked for 200 times a second. ``kills`` of the planner's process come in flight, each when it plans again. A miss
-that ``missed_by_us`` does not count is the machine's: the processor was somebody else's for most of it.
+are asked for 200 times a second. ``kills`` of the planner's process come in flight, each when it plans again. Of
+the misses ``missed_computing`` counts those in which the thread that asked had a processor all that time; in the others
+it waited, for the machine or for another thread of its process.
 """
 
 import argparse
@@ -125,7 +126,7 @@ def _row(what: str, chase: Chase, **more: Any) -> dict[str, Any]:
         "what": what,
         "setpoints": len(took),
         "missed": int((took > 1e6 * PERIOD).sum()),
-        "missed_by_us": int((np.array(chase.computed) > PERIOD).sum()),
+        "missed_computing": int((np.array(chase.computed) > PERIOD).sum()),
         "skipped": chase.skipped,
         "setpoint_p50_us": float(np.median(took)),
         "setpoint_p99_us": float(np.quantile(took, 0.99)),

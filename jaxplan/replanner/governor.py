@@ -31,8 +31,6 @@ INSTANTS = 200
 class Lag(NamedTuple):
     """Where along a plan a vehicle is that has fallen behind it."""
 
-    behind: float
-    """How far along the path [m]."""
     since: float
     """When the plan is where the vehicle is [s of the plan's own time]."""
     slowdown: float
@@ -59,7 +57,7 @@ def lag_behind(
     if behind < BEHIND or speed < LEAST_SPEED or not 0.0 < times[nearest] < end:
         return None
     along = float(velocity @ planned) / speed
-    return Lag(behind, float(times[nearest]), float(np.clip(speed / max(along, 1e-3), 1.0, MOST_SLOWDOWN)))
+    return Lag(float(times[nearest]), float(np.clip(speed / max(along, 1e-3), 1.0, MOST_SLOWDOWN)))
 
 
 def slower(spline: PiecewisePolynomial, lag: Lag) -> Iterator[tuple[PiecewisePolynomial, float]]:

@@ -12,10 +12,9 @@ from jaxplan.spline import hover
 from jaxplan.status import PlanStatus
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import load_world
-from oracles.planner_cases import CONFIG, START
+from oracles.planner_cases import CONFIG, GOAL, START, nowhere
 from tolerances import assert_close
 
-GOAL = START + np.array([0.3, 3.3, 0.0])
 SEEN = first_observation(0.0, START)
 NOW, BEHIND, SHARE = 1.1, 0.3, 0.8
 """When the vehicle is so far behind [m], and how fast it is by what is planned where it is."""
@@ -31,11 +30,6 @@ def planner():
 def once(observations, cycle):
     """One goal, met 2.5 s after the first cycle."""
     return candidates_from(GOAL, GOAL[None], np.array([2.5]), np.zeros(1))
-
-
-def nowhere(observations, cycle):
-    """A goal outside the room."""
-    return candidates_from(GOAL, GOAL[None] + 50.0, np.ones(1), np.zeros(1))
 
 
 def flying(planner):

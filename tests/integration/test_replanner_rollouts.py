@@ -15,9 +15,8 @@ from jaxplan.spline import hover
 from jaxplan.status import PlanStatus, Reason
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import load_world
-from oracles.planner_cases import CONFIG, START
+from oracles.planner_cases import CONFIG, GOAL, START, nowhere
 
-GOAL = START + np.array([0.3, 3.3, 0.0])
 SEEN = first_observation(0.0, START)
 
 
@@ -31,11 +30,6 @@ def planner():
 def once(observations, cycle):
     """One goal, met 3 s after the first cycle."""
     return candidates_from(GOAL, GOAL[None], np.array([3.0 - 0.1 * cycle]), np.zeros(1))
-
-
-def nowhere(observations, cycle):
-    """A goal outside the room."""
-    return candidates_from(GOAL, GOAL[None] + 50.0, np.ones(1), np.zeros(1))
 
 
 def on(replanner, now, aside=0.0):

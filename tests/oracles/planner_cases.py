@@ -8,7 +8,14 @@ from jaxplan.prediction.candidates import candidates_from
 from jaxplan.spline import FlatState
 
 START = np.array([-4.3, -4.3, 1.0])
+GOAL = START + np.array([0.3, 3.3, 0.0])
+"""[m]; straight on along y."""
 CONFIG = PlannerConfig(width=16, knots=KnotConfig(distance_per_knot=1.0))
+
+
+def nowhere(observations, cycle):
+    """What a predictor says that knows one goal, outside the room."""
+    return candidates_from(GOAL, GOAL[None] + 50.0, np.ones(1), np.zeros(1))
 
 
 def in_flight():

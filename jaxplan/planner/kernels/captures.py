@@ -31,9 +31,9 @@ def expected_times(
     some = np.flatnonzero(weights)
     futures = np.ascontiguousarray(np.moveaxis(np.asarray(motions, float)[:, some], 1, 0))
     rows = np.ascontiguousarray(np.moveaxis(np.asarray(ways, float), 2, 0))
-    expected = np.zeros(len(rows))
-    shares, far = np.ascontiguousarray(weights[some], float), np.array(reach, float)
-    _compiled()(np.array(times, float), futures, shares, far, rows, float(return_speed), expected)
+    expected, shares = np.zeros(len(rows)), np.ascontiguousarray(weights[some], float)
+    at, far = np.array(times, float), np.array(reach, float)  # writable, whatever they were: one program
+    _compiled()(at, futures, shares, far, rows, float(return_speed), expected)
     return expected
 
 
