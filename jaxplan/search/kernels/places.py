@@ -130,7 +130,7 @@ def _look(field, passages, surface, lower, upper, begin, end, shell, normals, ri
                     on_ridge += 1
                 elif surface and limit <= value <= limit + _SHELL:
                     gx, gy, gz = gx / steep, gy / steep, gz / steep
-                    if _bulge(solids, x, y, z, gx, gy, gz) >= _BULGE:
+                    if _is_convex(solids, x, y, z, gx, gy, gz):
                         shell[on_shell, 0], shell[on_shell, 1], shell[on_shell, 2] = x, y, z
                         normals[on_shell, 0], normals[on_shell, 1], normals[on_shell, 2] = gx, gy, gz
                         on_shell += 1
@@ -172,8 +172,8 @@ def _slope(solids, x, y, z, h):
 
 @inner
 @no_type_check
-def _bulge(solids, x, y, z, gx, gy, gz):
-    """How much the surface with this normal falls back to both sides [m], in the direction where that is most."""
+def _is_convex(solids, x, y, z, gx, gy, gz):
+    """Whether the surface with this normal falls back to both sides by ``_BULGE`` in one of four directions."""
     if abs(gz) < 0.9:  # one tangent level, the other up
         flat = math.sqrt(gx * gx + gy * gy)
         ax, ay, az = -gy / flat, gx / flat, 0.0 * gz
@@ -181,13 +181,14 @@ def _bulge(solids, x, y, z, gx, gy, gz):
         flat = math.sqrt(gx * gx + gz * gz)
         ax, ay, az = gz / flat, 0.0 * gy, -gx / flat
     bx, by, bz = gy * az - gz * ay, gz * ax - gx * az, gx * ay - gy * ax
-    here, most = clearance_at(solids, x, y, z), -1.0
+    here = clearance_at(solids, x, y, z)
     for turn in range(4):
         c, s = math.cos(0.25 * math.pi * turn) * _PROBE, math.sin(0.25 * math.pi * turn) * _PROBE
         dx, dy, dz = c * ax + s * bx, c * ay + s * by, c * az + s * bz
         there = clearance_at(solids, x + dx, y + dy, z + dz) + clearance_at(solids, x - dx, y - dy, z - dz)
-        most = max(most, 0.5 * there - here)
-    return most
+        if 0.5 * there - here >= _BULGE:
+            return True
+    return False
 
 
 @inner
@@ -200,14 +201,9 @@ def _spread(points, normals, count, span, chosen, far):
     """
     for c in range(count):
         far[c] = np.inf
-    total = 0
-    while True:
-        best, least = -1, np.inf
-        for c in range(count):
-            if far[c] >= 1.0 and (best < 0 or far[c] < least):
-                best, least = c, far[c]
-        if best < 0:
-            return total
+    total, following = 0, 0 if count > 0 else -1
+    while following >= 0:
+        best, following, least = following, -1, np.inf
         chosen[total] = best
         total += 1
         for c in range(count):
@@ -215,13 +211,15 @@ def _spread(points, normals, count, span, chosen, far):
                 continue
             dx, dy, dz = points[c, 0] - points[best, 0], points[c, 1] - points[best, 1], points[c, 2] - points[best, 2]
             apart = math.sqrt(dx * dx + dy * dy + dz * dz) / span
-            if apart >= far[c]:
-                continue
-            ex = normals[c, 0] - normals[best, 0]
-            ey = normals[c, 1] - normals[best, 1]
-            ez = normals[c, 2] - normals[best, 2]
-            angle = 2.0 * math.asin(min(0.5 * math.sqrt(ex * ex + ey * ey + ez * ez), 1.0))
-            far[c] = min(far[c], max(apart, angle / TURN))
+            if apart < far[c]:
+                ex = normals[c, 0] - normals[best, 0]
+                ey = normals[c, 1] - normals[best, 1]
+                ez = normals[c, 2] - normals[best, 2]
+                angle = 2.0 * math.asin(min(0.5 * math.sqrt(ex * ex + ey * ey + ez * ez), 1.0))
+                far[c] = min(far[c], max(apart, angle / TURN))
+            if far[c] >= 1.0 and (following < 0 or far[c] < least):
+                following, least = c, far[c]
+    return total
 
 
 @inner
