@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
 
 from jaxplan.batching import CORES, side_by_side
+from jaxplan.search.kernels.boxes import between, sides, touches
 from jaxplan.search.kernels.cells import at, distance
 from jaxplan.search.kernels.compiled import entry_point, inner, source_digest
 from jaxplan.search.kernels.fans import SECTORS, look_round, sector_of
@@ -122,29 +123,21 @@ def _compiled_join() -> _Join:
     @no_type_check
     def entry(field, limit, points, normals, fresh, own, lower, upper, share, shares):
         _ = version
-        n, few = len(points), len(field[3][0]) <= FEW
-        members = np.empty((GROUP, SECTORS, len(field[3][0]) if few else 0), np.int32)
-        counts, looked = np.zeros((GROUP, SECTORS), np.int32), np.zeros(GROUP, np.bool_)
-        place, box, fans = (points, normals, fresh, own), (lower, upper), (members, counts, looked)
-        pairs, total = np.empty((n + 1024, 2), np.int32), 0
-        for u in range(share, n, shares):
-            if fresh[u]:
-                if total + n > len(pairs):
-                    pairs = np.concatenate((pairs, pairs))
-                looked[0] = False
-                total = _enter(field, limit, place, (u, u + 1), (0, n), True, box, fans, pairs, total)
+        n, count = len(points), len(field[3][0]) if len(field[3][0]) <= FEW else 0
+        members, counts = np.empty((SECTORS, count), np.int32), np.zeros(SECTORS, np.int32)
+        everything = np.arange(count).astype(np.int32)
         groups = -(-n // GROUP) if lower[0] < NOWHERE[0][0] else 0
         middles, radii = np.zeros((groups, 3)), np.zeros(groups)
         _group(points, middles, radii)
-        for g in range(share, groups, shares):
-            looked[:] = False
-            some = g * GROUP, min((g + 1) * GROUP, n)
-            for h in range(max(g, own // GROUP), groups):
-                if _touches(at(middles, g), at(middles, h), lower, upper, max(radii[g], radii[h])):
-                    if total + GROUP * GROUP > len(pairs):
-                        pairs = np.concatenate((pairs, pairs))
-                    others = h * GROUP, min((h + 1) * GROUP, n)
-                    total = _enter(field, limit, place, some, others, False, box, fans, pairs, total)
+        place, group, box = (points, normals, fresh, own), (middles, radii), (lower, upper)
+        pairs, total = np.empty((n + 1024, 2), np.int32), 0
+        for u in range(share, n, shares):
+            if total + n > len(pairs):
+                pairs = np.concatenate((pairs, pairs))
+            if fresh[u]:
+                total = _enter_all(field, limit, place, u, members, counts, pairs, total)
+            elif groups > 0:
+                total = _enter_through(field, limit, place, u, box, group, everything, pairs, total)
         return pairs[:total].copy()
 
     return entry  # type: ignore[no-any-return]
@@ -152,38 +145,52 @@ def _compiled_join() -> _Join:
 
 @inner
 @no_type_check
-def _enter(field, limit, place, some, others, anew, box, fans, pairs, total):
-    """Enter the roads between ``some`` places and ``others``; how many roads there are then.
-
-    Of fresh places (``anew``) all roads, but those to lower places that are fresh as well; of what is not fresh the
-    roads through the box to higher places.
-    """
+def _enter_all(field, limit, place, u, members, counts, pairs, total):
+    """Enter the roads from a fresh place, but those to lower places that are fresh as well; how many there are then."""
     points, normals, fresh, own = place
-    members, counts, looked = fans
     kinds, numbers, boxes = field[3][0], field[3][1], field[3][2]
     few, alone = len(kinds) <= FEW, field[3][6].size == 0 and field[3][8].size == 0
-    likely = -1  # neighbours mostly stand behind the same thing
-    for u in range(some[0], some[1]):
-        if fresh[u] != anew:
+    a, likely = at(points, u), -1  # neighbours mostly stand behind the same thing
+    if few:
+        look_round(boxes, limit, a, members, counts)
+    for v in range(0 if u >= own else own, len(points)):
+        b = at(points, v)
+        if v == u or (v < u and fresh[v]) or not _along_both(normals, u, v, a, b):
             continue
-        a, row = at(points, u), u - some[0]
-        for v in range(others[0], others[1]):
-            if max(u, v) < own or (v <= u and (v == u or fresh[v] or not anew)) or (fresh[v] and not anew):
-                continue
+        close, (low, high) = -1, ((a, b) if u < v else (b, a))  # what is found depends a little on the direction
+        if few:
+            s = sector_of(a, b)
+            close = too_close_among(kinds, numbers, boxes, limit, low, high, likely, members[s, : counts[s]])
+            likely = close if close >= 0 else likely
+        if close < 0 and ((few and alone) or follows_clear(field, limit, low, high)):
+            pairs[total, 0], pairs[total, 1] = min(u, v), max(u, v)
+            total += 1
+    return total
+
+
+@inner
+@no_type_check
+def _enter_through(field, limit, place, u, box, group, everything, pairs, total):
+    """Enter the roads through a box to higher places, where neither is fresh; how many there are then."""
+    points, normals, fresh, own = place
+    kinds, numbers, boxes = field[3][0], field[3][1], field[3][2]
+    few, alone = len(kinds) <= FEW, field[3][6].size == 0 and field[3][8].size == 0
+    a, likely, least = at(points, u), -1, max(u + 1, own)
+    seen = sides(a, box[0], box[1])
+    for g in range(least // GROUP, len(group[1])):
+        middle, radius = at(group[0], g), group[1][g]
+        if not (between(seen, a, middle, radius) and touches(a, middle, box[0], box[1], radius)):
+            continue
+        for v in range(max(least, g * GROUP), min((g + 1) * GROUP, len(points))):
             b = at(points, v)
-            if not _along_both(normals, u, v, a, b) or not (anew or _touches(a, b, box[0], box[1], 0.0)):
+            if fresh[v] or not (between(seen, a, b, 0.0) and _along_both(normals, u, v, a, b)):
                 continue
-            close, (low, high) = -1, ((a, b) if u < v else (b, a))  # what is found depends a little on the direction
-            if few:
-                if not looked[row]:
-                    look_round(boxes, limit, a, members[row], counts[row])
-                    looked[row] = True
-                s = sector_of(a, b)
-                among = members[row, s, : counts[row, s]]
-                close = too_close_among(kinds, numbers, boxes, limit, low, high, likely, among)
-                likely = close if close >= 0 else likely
-            if close < 0 and ((few and alone) or follows_clear(field, limit, low, high)):
-                pairs[total, 0], pairs[total, 1] = min(u, v), max(u, v)
+            if not touches(a, b, box[0], box[1], 0.0):
+                continue
+            close = too_close_among(kinds, numbers, boxes, limit, a, b, likely, everything) if few else -1
+            likely = close if close >= 0 else likely
+            if close < 0 and ((few and alone) or follows_clear(field, limit, a, b)):
+                pairs[total, 0], pairs[total, 1] = u, v
                 total += 1
     return total
 
@@ -220,12 +227,15 @@ def _compiled_kept() -> _Kept:
             if now[u] < 0:
                 continue
             a = at(points, u)
-            for e in range(first[u], first[u + 1]):
+            begin = first[u + 1]
+            while begin > first[u] and ends[begin - 1] > u and ends[begin - 1] >= shared:
+                begin -= 1
+            for e in range(begin, first[u + 1]):
                 v = ends[e]
-                if v <= u or v < shared or now[v] < 0:
+                if now[v] < 0:
                     continue
                 b = at(points, v)
-                if _touches(a, b, lower, upper, 0.0) and not (again and keeps_clear(field, limit, a, b)):
+                if touches(a, b, lower, upper, 0.0) and not (again and keeps_clear(field, limit, a, b)):
                     continue
                 pairs[total, 0], pairs[total, 1] = min(now[u], now[v]), max(now[u], now[v])
                 total += 1
@@ -317,19 +327,3 @@ def _group(points, middles, radii):
                 middles[g, axis] += points[u, axis] / (end - begin)
         for u in range(begin, end):
             radii[g] = max(radii[g], distance(at(middles, g), at(points, u)))
-
-
-@inner
-@no_type_check
-def _touches(a, b, lower, upper, around):
-    """Whether the segment a-b touches a box, or comes so close [m] to its faces."""
-    begin, end = 0.0, 1.0
-    for axis in range(3):
-        step = b[axis] - a[axis]
-        if abs(step) < 1e-12:
-            if not lower[axis] - around <= a[axis] <= upper[axis] + around:
-                return False
-        else:
-            low, high = (lower[axis] - around - a[axis]) / step, (upper[axis] + around - a[axis]) / step
-            begin, end = max(begin, min(low, high)), min(end, max(low, high))
-    return begin <= end
