@@ -41,7 +41,8 @@ def join_components(
     names[names > most] += np.arange(int((names > most).sum()))
     renamed = np.arange(most + 1)
     renamed[olds] = names[component[1 + parts :]]
-    joined = renamed.astype(labels.dtype)[labels] if (renamed[olds] != olds).any() else labels.copy()
+    again = bool((renamed[olds] != olds).any())
+    joined = renamed.astype(labels.dtype).take(labels, mode="clip") if again else labels.copy()
     joined[around] = names[component[: 1 + parts]].astype(labels.dtype)[local]
     return joined
 

@@ -6,13 +6,12 @@ the roads through it: what results is what would be made from the start.
 """
 
 import functools
-import itertools
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int32
 
-from jaxplan.batching import side_by_side
+from jaxplan.batching import beside, side_by_side
 from jaxplan.search.components import join_components, label_components
 from jaxplan.search.kernels.graph import make_frame
 from jaxplan.search.kernels.places import REACH as PLACES_REACH
@@ -95,12 +94,14 @@ def update_roadmap(
 
     ``field`` as ``update_field`` gives it, and whether anything ``opens``.
     """
-    lower, upper = _widened(roadmap.field, lower, upper)
+    box = _widened(roadmap.field, lower, upper)
+    found = _found(roadmap, field, box)
+    labels = [beside(functools.partial(_changed_labels, level, field, roadmap.room, box)) for level in roadmap.levels]
     levels: list[_Changed] = []
-    for level in roadmap.levels:
-        wider = levels[-1] if levels else None
-        levels.append(_changed_level(level, field, roadmap.room, (lower, upper), opens, wider))
-    return Roadmap(field, roadmap.room, tuple(changed.level for changed in levels))
+    for level, places in zip(roadmap.levels, found, strict=True):
+        levels.append(_changed_level(level, field, box, opens, places, levels[-1] if levels else None))
+    changed = zip(levels, labels, strict=True)
+    return Roadmap(field, roadmap.room, tuple(level._replace(components=new.result()) for (level, _), new in changed))
 
 
 def corners_of(world: World) -> Float[np.ndarray, "2 3"]:
@@ -161,40 +162,72 @@ def _places(
     return places_of(tuple(field), passages, wider is None, room, begin, end)
 
 
-def _changed_level(
-    level: Level, field: Field, room: Float[np.ndarray, "2 3"], box: Box, opens: bool, wider: _Changed | None
-) -> _Changed:
-    """Places and roads after a change within a box [m]: places in the tiles around, roads to them and through.
-
-    Where nothing ``opens``, no two places that were there see each other that did not before.
-    """
-    limit, roads = level.limit, level.roads
-    above = None if wider is None else wider.level
-    around = PLACES_REACH + (limit if above is None else above.limit)
-    begin, end = _cells(field, box[0] - around, box[1] + around)
-    first = level.shared + np.concatenate([[0], np.cumsum(level.tiles)])
-    olds = [np.arange(*ends) for ends in itertools.pairwise(first.tolist())]
-    parts, numbers = [(roads.points[old], roads.normals[old]) for old in olds], list(olds)
+def _found(roadmap: Roadmap, field: Field, box: Box) -> list[dict[int, _Places]]:
+    """By level the places that there are after a change within a box [m], by the numbers of the tiles around."""
+    above = None, *roadmap.levels[:-1]
+    levels = list(zip(roadmap.levels, above, strict=True))
     tiles = _tiles(field.values.shape)
-    looked_at = [
-        n for n, (low, high) in enumerate(tiles) if ((low < end) & (begin < high))[:2].all() and begin[2] < end[2]
-    ]
-    found = side_by_side(lambda n: _places(field, room, limit, above, *tiles[n]), looked_at)
-    for n, places in zip(looked_at, found, strict=True):
-        numbers[n] = _same(parts[n], places, olds[n])
-        parts[n] = places
-    numbers.insert(0, np.zeros(0, np.int64) if wider is None else wider.before)
-    points, normals, counts = _numbered(parts, above)
-    before, shared = np.concatenate(numbers), len(points) - int(counts.sum())
+    jobs = [(level.limit, wider, n) for level, wider in levels for n in _around(field, box, level.limit, wider)]
+    places = iter(side_by_side(lambda job: _places(field, roadmap.room, *job[:2], *tiles[job[2]]), jobs))
+    return [{n: next(places) for n in _around(field, box, level.limit, wider)} for level, wider in levels]
+
+
+def _around(field: Field, box: Box, limit: float, wider: Level | None) -> list[int]:
+    """The numbers of the tiles whose places a change within a box [m] may change, ascending."""
+    reach = PLACES_REACH + (limit if wider is None else wider.limit)
+    begin, end = _cells(field, box[0] - reach, box[1] + reach)
+    rows, columns = (range(begin[axis] // TILE, -(-end[axis] // TILE)) for axis in range(2))
+    across = -(-field.values.shape[1] // TILE)
+    return [row * across + column for row in rows for column in columns] if (begin < end).all() else []
+
+
+def _changed_level(
+    level: Level, field: Field, box: Box, opens: bool, found: dict[int, _Places], wider: _Changed | None
+) -> _Changed:
+    """Places and roads after a change within a box [m]: the places ``found`` by tile, roads to them and through.
+
+    Where nothing ``opens``, no two places that were there see each other that did not before. Labels stay.
+    """
+    limit, roads, above = level.limit, level.roads, None if wider is None else wider.level
+    points, normals, before, counts = _replaced(level, found, wider)
+    shared = len(points) - int(counts.sum())
     near, now = (box[0] - limit, box[1] + limit), np.full(len(roads.points), -1, np.int32)
     now[before[before >= 0]] = np.flatnonzero(before >= 0)
-    held = kept(roads, level.shared, now, tuple(field), limit, near, not opens)
+    held = beside(lambda: kept(roads, level.shared, now, tuple(field), limit, near, not opens))
     fresh = join(tuple(field), limit, points, normals, before < 0, shared, near if opens else NOWHERE)
-    pairs = np.concatenate([held, fresh])
-    window = tuple(slice(int(a), int(b)) for a, b in zip(*_cells(field, *near), strict=True))
-    labels = join_components(level.components, _open_cells(field, room, limit, window), window)
+    pairs = np.concatenate([held.result(), fresh])
     linking = linked(points, normals, pairs, None if above is None else above.roads)
-    return _Changed(Level(limit, linking, shared, counts, labels), before)
+    return _Changed(Level(limit, linking, shared, counts, level.components), before)
+
+
+def _replaced(
+    level: Level, found: dict[int, _Places], wider: _Changed | None
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Int[np.ndarray, "n"], Int[np.ndarray, "t"]]:
+    """Positions and normals with the places ``found`` in some tiles, their numbers before, and how many each tile has.
+
+    The number is -1 where there was no such place.
+    """
+    first = (level.shared + np.concatenate([[0], np.cumsum(level.tiles)])).tolist()
+    points, normals, counts, done = level.roads.points, level.roads.normals, level.tiles.copy(), level.shared
+    parts, before = [], [np.zeros(0, np.int64) if wider is None else wider.before]
+    for n, places in found.items():
+        kept_on, here = slice(done, first[n]), slice(first[n], first[n + 1])
+        parts += [(points[kept_on], normals[kept_on]), places]
+        before += [np.arange(done, first[n]), _same((points[here], normals[here]), places, first[n])]
+        counts[n], done = len(places[0]), first[n + 1]
+    parts.append((points[done:], normals[done:]))
+    before.append(np.arange(done, first[-1]))
+    points, normals, _ = _numbered(parts, None if wider is None else wider.level)
+    return points, normals, np.concatenate(before), counts
+
+
+def _changed_labels(
+    level: Level, field: Field, room: Float[np.ndarray, "2 3"], box: Box
+) -> Int32[np.ndarray, "nx ny nz"]:
+    """The labels of connected parts after a change within a box [m]."""
+    ends = _cells(field, box[0] - level.limit, box[1] + level.limit)
+    window = tuple(slice(int(a), int(b)) for a, b in zip(*ends, strict=True))
+    return join_components(level.components, _open_cells(field, room, level.limit, window), window)
 
 
 def _open_cells(
@@ -210,14 +243,11 @@ def _open_cells(
     return np.asarray(free)
 
 
-def _same(known: _Places, found: _Places, numbers: Int[np.ndarray, "k"]) -> Int[np.ndarray, "n"]:
-    """For each place found the number of the same known one, -1 where there is none."""
-    if not len(numbers):
-        return np.full(len(found[0]), -1)
-    same = np.ones((len(found[0]), len(known[0])), dtype=bool)
-    for a, b in zip(found, known, strict=True):
-        same &= (a[:, None] == b[None]).all(axis=2)
-    return np.where(same.any(axis=1), numbers[same.argmax(axis=1)], -1)
+def _same(known: _Places, found: _Places, first: int) -> Int[np.ndarray, "n"]:
+    """For each place found the number of the same known one, counted from ``first``; -1 where there is none."""
+    keys = [list(map(tuple, np.concatenate(places, axis=1).tolist())) for places in (known, found)]
+    numbers = {key: first + n for n, key in reversed(list(enumerate(keys[0])))}
+    return np.array([numbers.get(key, -1) for key in keys[1]], dtype=np.int64)
 
 
 def _numbered(

@@ -67,9 +67,10 @@ def test_boxes_come_and_go(seed: int) -> None:
         assert_same(lattices, build_lattices(world, WITH_NARROW))
 
 
-def test_a_box_moves_in_one_change() -> None:
+@pytest.mark.parametrize("name", ["env1", "env3"])
+def test_a_box_moves_in_one_change(name: str) -> None:
     """One that was not there, one that was, and one of the room's own; bit for bit as when it goes and comes."""
-    rng, world = np.random.default_rng(7), with_spare_boxes(load_world("env1"), 2)
+    rng, world = np.random.default_rng(7), with_spare_boxes(load_world(name), 2)
     lattices, last = build_lattices(world, WITH_NARROW), len(world.boxes.center) - 1
     for index in (last, last, 1, last):
         lower = rng.uniform([-4.5, -4.5, 0.0], [3.5, 3.5, 0.5])
