@@ -8,7 +8,9 @@ clock that goes back), the vehicle (a gust of 10 m/s, moved by 0.35 m, a rotor a
 committed path, beyond a stop). The vehicle is measured in every cycle, and lost 1 m or a right angle about body z off
 its reference. An episode hits something where its plant comes closer than its radius to an obstacle, or to a box from
 when it appears, which is ``avoidable`` if one of the stops that were clear from where the vehicle was when a plan could
-first take over after the event, flown from there in the same plant with the same fault, keeps clear;
+first take over after the event, flown from there in the same plant with the same fault, keeps clear. Of what blows,
+pushes or weakens the vehicle nobody knows at the event: ``avoidable_once_felt`` asks for such a stop after the first
+cycle in which the vehicle is ``FELT`` off its reference.
 ``reference_hits`` counts commanded positions that come closer.
 """
 
@@ -37,10 +39,12 @@ from jaxplan.world.load import ENVIRONMENTS
 
 from . import closed_loop, table1
 from .closed_loop import EpisodeConfig
-from .injection import FAULTS, ROOM, Trouble, with_a_spare_box
+from .injection import FAULTS, ROOM, VEHICLE, Trouble, with_a_spare_box
 
 LOST = Thresholds(position=1.0, yaw=np.pi / 2.0)
 """A vehicle that is blown or pushed off its reference for a moment is not lost."""
+FELT = 0.2
+"""m; a vehicle as near to its reference as that is where it should be."""
 STOPPED = 3.0
 """s; after which every stop is over, and what blew is over, too."""
 FINE = 0.01
@@ -144,10 +148,13 @@ def _found(episode: Episode, trouble: Trouble) -> Row:
     flown = np.minimum(_free(trouble, flight.times, flight.position), flight.clearance)
     jumps = [float(cycle.jump[:4].max()) for cycle in cycles if cycle.jump is not None]
     status = [cycle.status for cycle in cycles]
+    touching, event = flown < radius, min(trouble.appeared, trouble.event)
     return {
         **closed_loop.numbers(episode),
-        "hit": bool((flown < radius).any()),
-        "avoidable": bool((flown < radius).any()) and _is_avoidable(episode, trouble, flown < radius),
+        "hit": bool(touching.any()),
+        "avoidable": bool(touching.any()) and _is_avoidable(episode, trouble, touching, event),
+        "avoidable_once_felt": bool(touching.any())
+        and _is_avoidable(episode, trouble, touching, _felt(episode, trouble.fault, event)),
         "reference_hits": int((clear < radius).sum()),
         "changed": trouble.world is not None,
         "largest_jump": max(jumps, default=0.0),
@@ -160,12 +167,18 @@ def _found(episode: Episode, trouble: Trouble) -> Row:
     }
 
 
-def _is_avoidable(episode: Episode, trouble: Trouble, touching: Bool[np.ndarray, "n"]) -> bool:
-    """Whether a stop that was clear when a plan could first take over after the event would have kept the vehicle so.
+def _felt(episode: Episode, fault: str, event: float) -> float:
+    """When the loop can know of the event [s]; infinite where it never does."""
+    off = (cycle.time for cycle in episode.cycles if cycle.time >= event and cycle.deviation > FELT)
+    return next(off, np.inf) if fault in VEHICLE else event
+
+
+def _is_avoidable(episode: Episode, trouble: Trouble, touching: Bool[np.ndarray, "n"], event: float) -> bool:
+    """Whether a stop that was clear when a plan could first take over after ``event`` [s] would have kept it from that.
 
     The stops are flown from the state that the vehicle was in then, in the same plant with the same fault.
     """
-    scenario, event = episode.scenario, min(trouble.appeared, trouble.event)
+    scenario = episode.scenario
     after = [cycle.time for cycle in episode.cycles if cycle.time >= event]
     first = round((after[0] + scenario.replanning.latency) * CONTROL_RATE) if after else len(touching)
     if first >= len(touching) or touching[:first].any() or first not in trouble.states:
@@ -201,6 +214,7 @@ HEADER = (
     "lost",
     "hit",
     "avoidable",
+    "once felt",
     "reference hit",
     "largest jump",
     "late",
@@ -245,6 +259,7 @@ def _cells(fault: str, rows: list[Row]) -> list[str]:
         str(sum(row["outcome"] == "tracking_lost" for row in rows)),
         total("hit"),
         total("avoidable"),
+        total("avoidable_once_felt"),
         str(sum(row["reference_hits"] > 0 for row in rows)),
         f"{max(row['largest_jump'] for row in rows):.0e}",
         *(total(name) for name in ("late", "stops", "blocked", "changed", "refused_clocks", "refused_plans")),

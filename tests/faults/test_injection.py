@@ -99,12 +99,21 @@ def test_a_hit_is_avoidable_where_a_stop_flown_in_the_same_air_stays_clear() -> 
     flown = interception.fly(calm.disturbed(), guide=calm, watch=calm.watch)
     interception.fly(storm.disturbed(), guide=storm, watch=storm.watch)
     storm._disturbance = Disturbance(wind=(40.0, 0.0, 0.0))
-    for trouble in (calm, storm):
-        trouble.event = base.departure + 0.2
+    event = base.departure + 0.2
     later = np.arange(len(flown.flight.times)) > CONTROL_RATE * (base.departure + 0.6)
-    assert faults._is_avoidable(flown, calm, later)
-    assert not faults._is_avoidable(flown, storm, later)
-    assert not faults._is_avoidable(flown, calm, ~later), "nothing can be done about what happens before"
+    assert faults._is_avoidable(flown, calm, later, event)
+    assert not faults._is_avoidable(flown, storm, later, event)
+    assert not faults._is_avoidable(flown, calm, ~later, event), "nothing can be done about what happens before"
+
+
+def test_what_troubles_the_vehicle_is_felt_where_it_is_off_its_reference_and_the_rest_is_told_at_once() -> None:
+    base = dataclasses.replace(closed_loop.scenario_of(EPISODE), seed=3)
+    flown = interception.fly(base)
+    far = [cycle._replace(deviation=0.0 if n < 4 else 0.3) for n, cycle in enumerate(flown.cycles)]
+    event = far[1].time
+    assert faults._felt(flown._replace(cycles=tuple(far)), "gust", event) == far[4].time
+    assert faults._felt(flown, "box", event) == event
+    assert faults._felt(flown._replace(cycles=tuple(far[:4])), "gust", event) == np.inf
 
 
 @pytest.mark.slow
