@@ -11,6 +11,7 @@ from jaxtyping import Float
 from jaxplan.errors import FileError
 from jaxplan.feasibility.classifier import Classifier, Model, make_classifier, new_model
 from jaxplan.feasibility.features import INSTANTS, MOTION_FEATURES
+from jaxplan.kept import kept
 from jaxplan.vehicle.identity import from_header, to_header
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.weights import read_weights, resolve_weights, restore, write_weights
@@ -65,4 +66,4 @@ def classifier_card(source: str | Path) -> dict[str, Any]:
 def _golden(classifier: Classifier) -> Float[np.ndarray, "k"]:
     """Probabilities for eight fixed motions."""
     motion = np.random.default_rng(7).normal(size=(8, INSTANTS, MOTION_FEATURES)).astype(np.float32).T
-    return np.asarray(jax.jit(classifier.predict_motion)(motion).probability, float)
+    return np.asarray(kept(classifier.predict_motion)(motion).probability, float)

@@ -11,6 +11,7 @@ from jaxtyping import Array, DTypeLike, Float
 from numpy.typing import ArrayLike
 
 from jaxplan.errors import InputError
+from jaxplan.kept import kept
 from jaxplan.minsnap.quadratic_program import (
     Ends,
     Passage,
@@ -104,7 +105,8 @@ def _on_host(
     """``minimum_snap`` of what is known, checked."""
     points, times = _checked(waypoints, durations)
     start, goal, ends = checked_ends("minimum_snap", initial, terminal, fixed_order)
-    position, residual = _solve(times[:, None], points[..., None], start[..., None], goal[..., None], ends)
+    solve = _kept_solve()
+    position, residual = solve(ends, times[:, None], points[..., None], start[..., None], goal[..., None])
     if not (np.isfinite(position).all() and float(residual[0]) <= RESIDUAL_LIMIT):
         raise InputError(
             f"minimum_snap: the problem is beyond double precision (residual {float(residual[0]):.1e}); durations are "
@@ -114,7 +116,7 @@ def _on_host(
     if yaw is not None or initial_yaw is not None:
         angles = _array("yaw", np.zeros(len(points)) if yaw is None else yaw, (len(points),))
         rates = _array("initial_yaw", np.zeros(YAW_ORDER) if initial_yaw is None else initial_yaw, (YAW_ORDER,))
-        turning = _solve(times[:, None], angles[:, None, None], rates[:, None, None], None, yaw_ends(ends))
+        turning = solve(yaw_ends(ends), times[:, None], angles[:, None, None], rates[:, None, None], None)
         heading = np.asarray(turning[0][:, :, 0, 0])
     return PiecewisePolynomial(durations=times, position=np.asarray(position[..., 0]), yaw=heading)
 
@@ -153,7 +155,7 @@ def _island(ends: Ends) -> Callable[[Array, Array, Array, Array | None], tuple[A
     """``_solve`` for the ends inside another program, in float64; the residual has no gradient."""
 
     def solve(durations: Array, points: Array, initial: Array, terminal: Array | None) -> tuple[Array, Array]:
-        coefficients, residual = _solve(durations, points, initial, terminal, ends)
+        coefficients, residual = _solve(ends, durations, points, initial, terminal)
         return coefficients, jax.lax.stop_gradient(residual)
 
     return float64_island(solve)
@@ -180,13 +182,18 @@ def _traced_end(what: str, given: ArrayLike | None, fixed_order: int, dtype: DTy
     return values.at[:fixed_order].set(array[:fixed_order].astype(dtype))
 
 
-@functools.partial(jax.jit, static_argnames="ends")
+@functools.cache
+def _kept_solve() -> Callable[..., tuple[Array, Array]]:
+    """``_solve`` on the host, compiled."""
+    return kept(_solve, static=1)
+
+
 def _solve(
+    ends: Ends,
     durations: Float[Array, "m b"],
     points: Float[Array, "n d b"],
     initial: Float[Array, "r d b"],
     terminal: Float[Array, "r d b"] | None,
-    ends: Ends,
 ) -> tuple[Float[Array, "m 2*r+2 d b"], Float[Array, "b"]]:
     """The coefficients of ``interpolate``, and how far they are from being optimal (``quadratic_program.gradient``)."""
     coefficients, knots = interpolate(durations, points, initial, terminal, ends)

@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxplan.errors import FileError
+from jaxplan.kept import kept
 from jaxplan.policy.network import NetworkConfig
 from jaxplan.policy.neural import neural_policy
 from jaxplan.policy.protocol import Policy
@@ -109,10 +110,17 @@ def _golden(config: NetworkConfig, parameters: Any) -> Float[np.ndarray, "m 3"]:
         waypoints[last:, :, lane] = waypoints[last, :, lane]
     derivatives, yaw = rng.normal(size=(5, 3, 3)) * np.array([0.0, 2.0, 5.0]), rng.normal(size=(3, 3))
     initial = FlatStateBatch(derivatives=derivatives, yaw=yaw)
+    allocate = kept(_allocate, static=1)
+    return np.asarray(allocate(config, parameters, waypoints, count, initial), dtype=float)
 
-    @jax.jit
-    def allocate(parameters: Any) -> Float[Array, "m 3"]:
-        policy = neural_policy("golden", config, parameters)
-        return policy.decode(policy.encode(jnp.asarray(waypoints), jnp.asarray(count)), initial)
 
-    return np.asarray(allocate(parameters), dtype=float)
+def _allocate(
+    config: NetworkConfig,
+    parameters: Any,
+    waypoints: Float[Array, "n 3 k"],
+    count: Int[Array, "k"],
+    initial: FlatStateBatch,
+) -> Float[Array, "m k"]:
+    """The durations [s] that a network with these weights allots (traced)."""
+    policy = neural_policy("golden", config, parameters)
+    return policy.decode(policy.encode(waypoints, count), initial)

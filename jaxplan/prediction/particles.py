@@ -9,6 +9,8 @@ probability that who is there then meets the target. The random numbers are the 
 evenly than random ones (Sobol's), so that goals move as the target does and not as the dice fall.
 """
 
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,6 +29,8 @@ from jaxplan.prediction.target_model import TargetModel
 from jaxplan.status import Note
 from jaxplan.world.obstacles import World
 
+_EVEN, _EVEN_BITS = Path(__file__).parent / "even", 30
+"""Where tables of Sobol points lie, in integers of so many bits, by their dimension."""
 PARTICLES = 128
 STOPPED_WEIGHT = 0.25
 """Of a whole flight that hits something at once, where one that never does has 1 more: where it stops is a guess at
@@ -86,10 +90,12 @@ def fastest_seen(observations: Observations, config: PredictionConfig) -> float:
 
 
 def even_randoms(normals: int = MODES) -> tuple[Float[np.ndarray, "p"], Float[np.ndarray, "p r"]]:
-    """Uniform and standard normal numbers for ``PARTICLES``, any first ones of which are spread evenly."""
-    from scipy.stats import qmc  # half a second, for those who draw only
+    """Uniform and standard normal numbers for ``PARTICLES``, any first ones of which are spread evenly.
 
-    points = qmc.Sobol(1 + normals, rng=0).random(PARTICLES)
+    They are scrambled Sobol points, ``scipy.stats.qmc.Sobol(1 + normals, rng=0)``, which come from a file: importing
+    that module takes half a second of every start. ``normals`` is 18 or 19.
+    """
+    points = np.load(_EVEN / f"{1 + normals}.npy") * 2.0**-_EVEN_BITS
     return points[:, 0], ndtri(points[:, 1:])
 
 

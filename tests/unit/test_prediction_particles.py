@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from scipy.special import ndtri
+from scipy.stats import qmc
 
 from experiments.prediction_windows import stored_windows
 from jaxplan.prediction.mixture import MODES, conditional_mixture, covariance_factors
@@ -175,6 +177,14 @@ def test_goals_move_as_the_target_does_and_not_as_the_dice_fall(seen, room):
     assert np.abs(normal.std(axis=0) - 1.0).max() < 0.05
     shares = np.bincount((8 * uniform[:24]).astype(int), minlength=8)
     assert shares.max() - shares.min() <= 2  # the first ones are spread evenly, too
+
+
+@pytest.mark.parametrize("normals", [18, 19])
+def test_even_numbers_are_scrambled_sobol_points(normals):
+    uniform, normal = even_randoms(normals)
+    points = qmc.Sobol(1 + normals, rng=0).random(PARTICLES)
+    np.testing.assert_array_equal(uniform, points[:, 0])
+    np.testing.assert_array_equal(normal, ndtri(points[:, 1:]))
 
 
 def test_with_one_position_or_an_unusual_flight_they_spread_around_a_straight_line(room):
