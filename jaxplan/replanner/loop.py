@@ -201,11 +201,13 @@ class Replanner:
         return Start(state, takeover, deviation, True, self.config.wider_margin)
 
     def _lag(self, now: float, takeover: float, measured: Measured | None) -> Lag | None:
-        """How far the vehicle, as fast as it is now, will be behind what is committed."""
+        """How far the vehicle, if it stays beside its reference as it is now, will be behind what is committed."""
         if measured is None:
             return None
-        position = measured.position + (takeover - now) * measured.velocity
-        return lag_behind(self.committed.spline, takeover - self.committed.start_time, position, measured.velocity)
+        then = carried_on(measured, self._committed.at(now), self._committed.at(takeover), takeover - now)
+        return lag_behind(
+            self.committed.spline, takeover - self.committed.start_time, np.asarray(then.pos), np.asarray(then.vel)
+        )
 
     def _keep_heading(self, now: float, measured: Measured | None) -> None:
         """Let the reference have the vehicle's heading, where the vehicle cannot hold the reference's."""

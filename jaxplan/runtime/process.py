@@ -1,8 +1,11 @@
 """One planner's process and the memory shared with it: started, looked at, ended."""
 
+import contextlib
 import multiprocessing
+import os
 import time
 from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -32,10 +35,14 @@ class PlannerProcess:
         self._began = time.monotonic()
 
     def start(self) -> None:
-        """Returns at once. Raises ``InputError`` where ``build`` cannot be sent, ``ResourceError`` for no process."""
+        """Returns at once. Whoever asks keeps its real-time priority, where it has one; the process gets none.
+
+        Raises ``InputError`` where ``build`` cannot be sent, ``ResourceError`` for no process.
+        """
         self._began = time.monotonic()
         try:
-            self._process.start()
+            with ThreadPoolExecutor(1, initializer=_keep_priority) as starter:
+                starter.submit(self._process.start).result()
         except OSError as error:
             raise ResourceError(f"runtime: no process can be started: {error}") from error
         except Exception as error:  # whatever pickling meets
@@ -103,3 +110,12 @@ class PlannerProcess:
         if self._process.pid is not None and self._process.is_alive():
             self._process.kill()
             self._process.join()
+
+
+def _keep_priority() -> None:
+    """Let no process that this thread starts have its real-time priority (Linux: ``sched(7)``)."""
+    if hasattr(os, "SCHED_RESET_ON_FORK"):
+        policy = os.sched_getscheduler(0)
+        if policy in (os.SCHED_FIFO, os.SCHED_RR):
+            with contextlib.suppress(OSError):
+                os.sched_setscheduler(0, policy | os.SCHED_RESET_ON_FORK, os.sched_getparam(0))

@@ -38,6 +38,7 @@ from jaxplan.runtime.messages import (
 )
 from jaxplan.runtime.records import Build, Built, Phase, RuntimeConfig
 from jaxplan.runtime.table import tabulate
+from jaxplan.spline import FlatState
 from jaxplan.world.update import update_world
 
 EXIT_REFUSED = 3
@@ -180,7 +181,17 @@ class Worker:
     def _measured(self, now: float) -> Measured | None:
         """The vehicle as it should be by now, from where it was a moment ago; None where that is too long ago."""
         message = self.channel.odometry.newest()
-        return None if message is None else carried_to(unpack_odometry(message), now, self.config.odometry_age)
+        if message is None:
+            return None
+        odometry = unpack_odometry(message)
+        return carried_to(odometry, now, self.config.odometry_age, self._flown(odometry.time, now))
+
+    def _flown(self, begin: float, end: float) -> FlatState | None:
+        """The reference at two instants [s]; None where it jumps to the vehicle in between."""
+        first, last = min(begin, end), max(begin, end)
+        if any(plan.from_measured and first <= plan.start_time <= last for plan in self._replanner.plans):
+            return None
+        return self._replanner.reference(np.array([begin, end]))
 
     def _hear_changes(self) -> None:
         if self.channel.changes.written - self._next_change > CHANGES_KEPT:
@@ -204,18 +215,24 @@ class Worker:
         self._world = changed.world
 
 
-def carried_to(odometry: Odometry, now: float, oldest: float) -> Measured | None:
-    """A measurement carried on to ``now`` [s] at its acceleration; None where it is older than ``oldest`` [s].
+def carried_to(odometry: Odometry, now: float, oldest: float, flown: FlatState | None = None) -> Measured | None:
+    """A measurement carried on to ``now`` [s]; None where it is older than ``oldest`` [s].
 
-    The attitude stays as it was.
+    What the vehicle is off its reference goes on at the acceleration that it is off; how the reference itself goes on
+    is known: ``flown``, at the instant of the measurement and at ``now``. Without one it is the vehicle that goes on at
+    its acceleration. The attitude stays as it was.
     """
     (position, velocity, acceleration, attitude), passed = odometry.measured, now - odometry.time
     finite = np.isfinite(position).all() and np.isfinite(velocity).all()
     if not finite or not abs(passed) <= oldest:
         return None
-    turn = np.zeros(3) if acceleration is None else acceleration
-    moved = position + passed * velocity + 0.5 * passed**2 * turn
-    return Measured(moved, velocity + passed * turn, acceleration, attitude)
+    before, after = np.zeros((2, 3, 3)) if flown is None else np.asarray(flown.derivatives)[:, :3]
+    apart, faster = position - before[0], velocity - before[1]
+    turn = np.zeros(3) if acceleration is None else acceleration - before[2]
+    moved = after[0] + apart + passed * faster + 0.5 * passed**2 * turn
+    return Measured(
+        moved, after[1] + faster + passed * turn, None if acceleration is None else after[2] + turn, attitude
+    )
 
 
 def _warm_up(built: Built, config: RuntimeConfig) -> None:

@@ -7,7 +7,7 @@ from jaxplan.planner import Fault, build_planner
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
 from jaxplan.prediction.observations import first_observation
-from jaxplan.replanner import Measured, Replanner
+from jaxplan.replanner import Measured, Replanner, ReplannerConfig
 from jaxplan.spline import hover
 from jaxplan.status import PlanStatus
 from jaxplan.vehicle.load import load_vehicle
@@ -61,7 +61,8 @@ def test_it_flies_the_same_path_from_where_it_is_and_as_fast_as_it_is(planner):
     first = after.spline.state(0.0)
     expected = vehicle.position + cycle.latency * vehicle.velocity
     assert np.linalg.norm(first.pos - expected) < 0.05
-    assert np.linalg.norm(first.vel) == pytest.approx(np.linalg.norm(vehicle.velocity), rel=0.15)
+    faster = vehicle.velocity + cycle.latency * vehicle.acceleration
+    assert np.linalg.norm(first.vel) == pytest.approx(np.linalg.norm(faster), rel=0.15)
     path = np.asarray(before.spline.sample(4000)[1])[:, :3]
     flown = np.asarray(after.spline.sample(50)[1])[:, :3]
     assert np.linalg.norm(flown[:, None] - path, axis=2).min(axis=1).max() < 0.01
@@ -75,6 +76,15 @@ def test_one_that_keeps_up_flies_on_as_planned(planner):
     cycle = replanner.step(NOW, SEEN, measured(replanner.committed, NOW, 0.0, 1.0))
     assert cycle.status is PlanStatus.NO_CANDIDATE
     assert len(replanner.plans) == 1
+
+
+@pytest.mark.parametrize("latency", [0.3, 0.6, 1.0])
+def test_one_that_keeps_up_is_not_taken_to_stay_behind_when_the_plan_speeds_up_before_its_takeover(planner, latency):
+    """However late that is: it is taken to stay beside its reference, and not to fly straight on."""
+    committed = flying(planner).committed
+    for now in (0.2, 0.5, NOW):
+        replanner = Replanner(planner, nowhere, committed, ReplannerConfig(latency=latency))
+        assert replanner.step(now, SEEN, measured(committed, now, 0.0, 1.0)).status is PlanStatus.NO_CANDIDATE
 
 
 def test_one_that_is_not_measured_is_taken_to_keep_up(planner):
