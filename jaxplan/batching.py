@@ -125,13 +125,22 @@ def fill(indices: Indices, width: int) -> Int[np.ndarray, "{width}"]:
 
 def pick(tree: Any, indices: Indices) -> Any:
     """Some members of a batch, in NumPy."""
-    return jax.tree.map(lambda leaf: np.take(np.asarray(leaf), indices, axis=-1), tree)
+    leaves, structure = jax.tree.flatten(tree)
+    return jax.tree.unflatten(structure, [np.take(np.asarray(leaf), indices, axis=-1) for leaf in leaves])
 
 
 def join(parts: Sequence[tuple[Any, int]]) -> Any:
     """One batch of the first so many members of each part, side by side in NumPy: the inverse of ``fill``."""
-    trees = [jax.tree.map(lambda leaf, count=count: np.asarray(leaf)[..., :count], tree) for tree, count in parts]
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1), *trees)
+    counts = [count for _, count in parts]
+    leaves, structures = zip(*(jax.tree.flatten(tree) for tree, _ in parts), strict=True)
+    if any(structure != structures[0] for structure in structures):
+        raise ValueError(f"join: parts are {structures}, want the same structure of all")
+
+    def joined(pieces: Sequence[Any]) -> np.ndarray:
+        cut = [np.asarray(piece)[..., :count] for piece, count in zip(pieces, counts, strict=True)]
+        return cut[0] if len(cut) == 1 else np.concatenate(cut, axis=-1)
+
+    return jax.tree.unflatten(structures[0], [joined(pieces) for pieces in zip(*leaves, strict=True)])
 
 
 def _division(width: int, wanted: int) -> tuple[int, int]:

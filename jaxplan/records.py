@@ -28,6 +28,7 @@ def record(cls: type[T]) -> type[T]:
     fields = dataclasses.fields(cast(Any, cls))  # the type checker does not follow the decorator
     traced = tuple(f.name for f in fields if not f.metadata.get("static"))
     fixed = tuple(f.name for f in fields if f.metadata.get("static"))
+    names = (*traced, *fixed)
 
     def flatten_with_keys(instance: T) -> tuple[Any, Any]:
         children = [(jax.tree_util.GetAttrKey(name), getattr(instance, name)) for name in traced]
@@ -38,8 +39,7 @@ def record(cls: type[T]) -> type[T]:
 
     def unflatten(aux: Any, children: Any) -> T:
         instance = object.__new__(cls)
-        for name, value in zip((*traced, *fixed), (*children, *aux), strict=True):
-            object.__setattr__(instance, name, value)
+        vars(instance).update(zip(names, (*children, *aux), strict=True))
         return instance
 
     jax.tree_util.register_pytree_with_keys(cls, flatten_with_keys, unflatten, flatten)

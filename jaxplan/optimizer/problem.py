@@ -12,6 +12,7 @@ of it depends smoothly on the variables. Layout: **the batch is the last axis**,
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplan.arrays import AnyArray
@@ -105,10 +106,10 @@ class Variables(NamedTuple):
     """From the meeting point to where the vehicle comes to rest [m, world]."""
 
 
-def flatten(variables: Variables) -> Float[Array, "v k"]:
-    """All variables of a start in one column."""
+def flatten(variables: Variables) -> Float[np.ndarray, "v k"]:
+    """All variables of a start in one column (host)."""
     width = variables.offset.shape[-1]
-    return jnp.concatenate([jnp.reshape(part, (-1, width)) for part in variables])
+    return np.concatenate([np.reshape(part, (-1, width)) for part in variables])
 
 
 def unflatten(flat: Float[Array, "v k"]) -> Variables:

@@ -66,5 +66,5 @@ def usual_spline(spline: PiecewisePolynomial) -> PiecewisePolynomial:
 
 def _with_terms(coefficients: Float[np.ndarray, "m n ..."], least: int) -> Float[np.ndarray, "m k ..."]:
     """The same polynomials with at least so many ascending coefficients."""
-    more = max(least - coefficients.shape[1], 0)
-    return np.pad(coefficients, [(0, 0), (0, more), *[(0, 0)] * (coefficients.ndim - 2)])
+    more = least - coefficients.shape[1]
+    return coefficients if more <= 0 else np.pad(coefficients, [(0, 0), (0, more), *[(0, 0)] * (coefficients.ndim - 2)])

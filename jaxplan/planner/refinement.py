@@ -56,7 +56,7 @@ def refine(
         starts.append(placed_start(*parts.placing, parts.room, state, seed, expected, offset, radius))
     descent = replace(DESCENT, iterations=config.iterations if iterations is None else iterations)
     limits = _limits(parts, state, radius, config)
-    begin = np.concatenate([np.asarray(flatten(start)).T for start in starts])
+    begin = np.concatenate([flatten(start).T for start in starts])
     time, least, spline = parts.descend(parts.room, state, target, limits, begin, descent)
     verdict = validate(spline, parts.room, parts.vehicle, parts.keep, _strict(parts, config), start=state)
     late = Reason.ALPHA_LT_1 if time > expected.horizon else Reason(0)

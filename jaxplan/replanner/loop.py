@@ -156,7 +156,7 @@ class Replanner:
         decision = Decision(self.planner, self.config, self._pace, latency, known, timer)
         lost = start.deviation > self.config.stop_beyond
         above = np.inf if lost else decision.incumbent.score
-        plans = self.planner.plan_batch(start.state, candidates, timer, above)
+        plans = self.planner.plan_batch(start.state, candidates, timer, above, prospect)
         status, chosen = decision.governed(decision.stop(PlanStatus.RECOVER) if lost else decision.among(plans))
         timer.lap("select")
         if chosen is not None and self.config.drop_late and timer.total > 1e3 * latency:
