@@ -126,8 +126,8 @@ def card_path(path: Path) -> Path:
 def load_model(path: str | Path) -> TargetModel:
     """Read a model and check all of it; raises FileError for what is missing, damaged or of another version."""
     path = Path(path)
-    card = _read_card(card_path(path))
     data = read_limited(path, _LARGEST_FILE, _WANTED)
+    card = _read_card(card_path(path))
     if hashlib.sha256(data).hexdigest() != card["sha256"]:
         raise FileError(f"{path}: its content is not what {card_path(path).name} vouches for; copy or train it again")
     observed = card["observations"] - 1 + (card["bounds"] is not None)

@@ -14,19 +14,24 @@ from jaxplan.validation import as_numbers
 
 @no_type_check
 def usual_measured(measured: Measured) -> Measured:
-    """Arrays of float64. Raises ``InputError`` where they are not three finite numbers each, four of the attitude."""
+    """Arrays of float64. Raises ``InputError`` where they are not three finite numbers each; a unit quaternion."""
     parts = []
     for name, values in zip(Measured._fields, measured, strict=True):
         if name in ("acceleration", "attitude") and values is None:
             parts.append(None)
             continue
         array = as_numbers(f"measured: {name}", values)
-        count = 4 if name == "attitude" else 3
-        if array.shape != (count,) or not np.isfinite(array).all() or (count == 4 and not array.any()):
-            wanted = "three finite numbers" if count == 3 else "a quaternion w x y z"
+        turned = name == "attitude"
+        if array.shape != (4 if turned else 3,) or not np.isfinite(array).all() or (turned and not _is_unit(array)):
+            wanted = "a unit quaternion w x y z" if turned else "three finite numbers"
             raise InputError(f"measured: {name} is {values!r}, want {wanted}")
         parts.append(array)
     return Measured(*parts)
+
+
+def _is_unit(quaternion: Float[np.ndarray, "4"]) -> bool:
+    """As nearly as estimators keep it: within one percent."""
+    return bool(abs(np.linalg.norm(quaternion) - 1.0) <= 0.01)
 
 
 def carried_on(measured: Measured, now: FlatState, then: FlatState, latency: float) -> FlatState:

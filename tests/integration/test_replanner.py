@@ -284,8 +284,10 @@ def test_a_vehicle_far_off_stops_from_where_it_is_and_goes_on(planner):
         Measured(np.zeros(2), np.zeros(3)),
         Measured(np.zeros(3), "fast"),
         Measured(np.zeros(3), np.zeros(3), np.full(3, np.inf)),
+        Measured(np.zeros(3), np.zeros(3), attitude=np.zeros(4)),
+        Measured(np.zeros(3), np.zeros(3), attitude=np.array([2.0, 0.0, 0.0, 0.0])),
     ],
-    ids=["nan", "short", "text", "infinite"],
+    ids=["nan", "short", "text", "infinite", "no turn", "no unit quaternion"],
 )
 def test_a_measured_state_that_is_none_is_refused_and_nothing_is_decided(planner, measured):
     replanner, seen = flying(planner, 2)

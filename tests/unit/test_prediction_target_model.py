@@ -147,6 +147,11 @@ def test_damage_is_refused_with_its_reason(saved, kind):
         load_model(saved)
 
 
+def test_a_model_that_is_not_there_is_called_by_the_name_that_was_given(tmp_path):
+    with pytest.raises(FileError, match=r"absent\.npy: no such file"):
+        load_model(tmp_path / "absent.npy")
+
+
 def test_random_damage_never_escapes_as_another_error(saved, tmp_path):
     """200 random cuts and overwrites of either file: refused, or harmless."""
     rng = np.random.default_rng(0)
