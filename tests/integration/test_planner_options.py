@@ -176,7 +176,8 @@ def test_the_vehicle_looks_at_the_target_until_they_meet(world, moving):
 def test_both_allocations_find_what_either_finds(world, moving):
     """The better winner of the two; from a start that is too fast for the policy that of the profile."""
     vehicle, policy = load_vehicle(), constant_speed_policy()
-    options = {name: {"allocate": name} for name in ("policy", "profile", "both")} | {"fast": {"policy_speed": 1.0}}
+    options = {name: {"allocate": name} for name in ("policy", "profile", "both")}
+    options |= {"fast": {"policy_speed": 1.0}, "fast profile": {"policy_speed": 1.0, "allocate": "profile"}}
     planners = {
         name: build_planner(dataclasses.replace(CONFIG, **some), world=world, vehicle=vehicle, policy=policy)
         for name, some in options.items()
@@ -186,7 +187,7 @@ def test_both_allocations_find_what_either_finds(world, moving):
         plans = {name: planner.plan_batch(moving, candidates(40, seed)) for name, planner in planners.items()}
         score = {name: some.score[select(some)] if select(some) >= 0 else -np.inf for name, some in plans.items()}
         assert score["both"] == max(score["policy"], score["profile"])
-        assert score["fast"] == score["profile"]
+        assert score["fast"] == score["fast profile"]
         better |= {name for name in ("policy", "profile") if score[name] < score["both"]}
     assert better == {"policy", "profile"}
 
