@@ -21,7 +21,7 @@ from jaxplan.feasibility.classifier import Classifier
 from jaxplan.planner.approach import approach
 from jaxplan.planner.border import usual_candidates, usual_spline, usual_state
 from jaxplan.planner.brake import brake, impact
-from jaxplan.planner.capture import Prospect, prospect_of
+from jaxplan.planner.capture import prospect_of
 from jaxplan.planner.corrections import correct
 from jaxplan.planner.descent import build_descent
 from jaxplan.planner.parts import Parts, Placing
@@ -236,18 +236,12 @@ def _on_device(world: World) -> World:
 
 
 def plan_batch(
-    parts: Parts,
-    state: FlatState,
-    candidates: Candidates,
-    timer: Timer | None = None,
-    above: float = -np.inf,
-    prospect: Prospect | None = None,
+    parts: Parts, state: FlatState, candidates: Candidates, timer: Timer | None = None, above: float = -np.inf
 ) -> Plans:
     """One replan: trajectories from one state timed to meet each candidate (paper, Sec. III-B)."""
     state, candidates = usual_state(state), usual_candidates(candidates)
     timer = timer or Timer()
-    if prospect is None:
-        prospect = prospect_for(parts.config, candidates)
+    prospect = prospect_for(parts.config, candidates)
     table = reject(parts, state, table_of(candidates, parts.score(state, candidates, prospect)))
     if not parts.config.exhaustive:
         doubt = 0.0 if prospect is None else DOUBT

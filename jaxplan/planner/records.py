@@ -184,17 +184,11 @@ class PlanBatch(Protocol):
     """Trajectories from one state timed to meet each candidate (paper, Sec. III-B)."""
 
     def __call__(
-        self,
-        state: FlatState,
-        candidates: Candidates,
-        timer: Timer | None = None,
-        above: float = -np.inf,
-        prospect: Prospect | None = None,
+        self, state: FlatState, candidates: Candidates, timer: Timer | None = None, above: float = -np.inf
     ) -> Plans:
         """``state`` is cast to float64; ``timer`` collects the milliseconds of the stations.
 
-        Only candidates with a score ``above`` that of a plan that is committed already are of interest. ``prospect`` is
-        what ``prospect_for`` makes of the candidates, where that was done already.
+        Only candidates with a score ``above`` that of a plan that is committed already are of interest.
 
         Raises ``InputError`` for a state that is not finite, and for arrays of other shapes.
         """

@@ -46,6 +46,7 @@ from jaxplan.replanner.incumbent import NO_INCUMBENT, Incumbent, incumbent_among
 from jaxplan.replanner.pace import Pace
 from jaxplan.replanner.passing import Passing
 from jaxplan.replanner.records import CommittedPlan, ReplannerConfig
+from jaxplan.replanner.vain import Vain
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import PlanStatus, Reason
 
@@ -102,15 +103,23 @@ class Known(NamedTuple):
         return self.start.takeover - self.committed.start_time
 
 
+class Memory(NamedTuple):
+    """What cycles leave behind for the next ones."""
+
+    pace: Pace
+    vain: Vain
+
+
 class Decision:
     """One cycle's choice, and what it cost."""
 
     def __init__(
-        self, planner: Planner, config: ReplannerConfig, pace: Pace, latency: float, known: Known, timer: Timer
+        self, planner: Planner, config: ReplannerConfig, memory: Memory, latency: float, known: Known, timer: Timer
     ) -> None:
         self._planner, self._config, self._known, self._timer = planner, config, known, timer
-        self._pace, self._latency = pace, 1e3 * latency
+        self._pace, self._vain, self._latency = memory.pace, memory.vain, 1e3 * latency
         self.incumbent = self._incumbent()
+        self._vain.against(known.committed, known.start.takeover - self.incumbent.score)
         self.refused = 0
         """Plans that passed every check but the last look."""
 
@@ -224,14 +233,18 @@ class Decision:
             rival = self._sooner(rival, plans, plans.score, PlanStatus.INTERCEPT)
             rival = self._sooner(rival, corrections, corrected, PlanStatus.INTERCEPT)
         else:
-            approaches = self._approaches()
-            rival = self._sooner(rival, approaches, _worth(prospect, approaches), PlanStatus.APPROACH)
-            if rival.chosen is None and np.isfinite(self.incumbent.score):
+            if self._vain.is_worth("approach"):
+                approaches = self._approaches()
+                rival = self._sooner(rival, approaches, _worth(prospect, approaches), PlanStatus.APPROACH)
+            if rival.chosen is None and np.isfinite(self.incumbent.score) and self._vain.is_worth("stop"):
+                self._vain.remember("stop")
                 stops = self._planner.brake(self._known.start.state, self._known.committed.spline, self._known.since)
                 rival = self._sooner(rival, stops, _worth(prospect, stops), PlanStatus.APPROACH)
                 self._timer.lap("stop")
         if rival.chosen is None and not np.isfinite(self.incumbent.score):
             return self.stop(PlanStatus.BRAKE)
+        if rival.chosen is None and not self._vain.is_worth("refine"):
+            return rival.status, None
         spline, since = self._known.committed.spline, self._known.since
         if rival.chosen is not None:
             spline, since = rival.chosen.spline, 0.0
@@ -252,6 +265,7 @@ class Decision:
         prospect, candidates = self._known.prospect, self._known.candidates
         if prospect is not None:
             candidates = expected_goals(prospect, np.asarray(candidates.target), APPROACHED)
+        self._vain.remember("approach")
         approaches = self._planner.approach(self._known.start.state, candidates)
         self._timer.lap("approach")
         return approaches
@@ -261,6 +275,7 @@ class Decision:
         steps = self._steps()
         if steps == 0:
             return None
+        self._vain.remember("refine")
         before, start = self._timer.total, self._known.start
         refined = self._planner.refine(start.state, self._known.candidates, seed, steps)
         self._timer.lap("refine")

@@ -27,12 +27,13 @@ from jaxplan.prediction.protocol import Predictor
 from jaxplan.replanner.ahead import Ahead, look_ahead
 from jaxplan.replanner.choice import Chosen, Start
 from jaxplan.replanner.committed import CommittedPlans, hold
-from jaxplan.replanner.decision import Decision, Known
+from jaxplan.replanner.decision import Decision, Known, Memory
 from jaxplan.replanner.governor import Lag, lag_behind
 from jaxplan.replanner.measured import carried_on, heading_near, turn_from, usual_measured
 from jaxplan.replanner.pace import Pace
 from jaxplan.replanner.passing import Passing, Ways, usual_ways
 from jaxplan.replanner.records import CommittedPlan, Cycle, Measured, ReplannerConfig
+from jaxplan.replanner.vain import Vain
 from jaxplan.spline import FlatState
 from jaxplan.status import Note, PlanStatus, count_reasons
 from jaxplan.validation import as_number
@@ -65,7 +66,7 @@ class Replanner:
         """Seconds from the next cycle's observations until its plan takes over."""
         self._predictor, self._clock = predictor, clock
         self._committed = CommittedPlans(start if isinstance(start, CommittedPlan) else hold(start))
-        self._pace = Pace()
+        self._memory = Memory(Pace(), Vain())
         self._took: deque[float] = deque(maxlen=REMEMBERED)
         self._cycles = 0
         self._last = -np.inf
@@ -153,10 +154,10 @@ class Replanner:
         certain = certain and (passing is None or passing.is_kept)
         lag = self._lag(now, start.takeover, measured)
         known = Known(start, candidates, prospect, self.committed, certain, ahead, passing, lag)
-        decision = Decision(self.planner, self.config, self._pace, latency, known, timer)
+        decision = Decision(self.planner, self.config, self._memory, latency, known, timer)
         lost = start.deviation > self.config.stop_beyond
         above = np.inf if lost else decision.incumbent.score
-        plans = self.planner.plan_batch(start.state, candidates, timer, above, prospect)
+        plans = self.planner.plan_batch(start.state, candidates, timer, above)
         status, chosen = decision.governed(decision.stop(PlanStatus.RECOVER) if lost else decision.among(plans))
         timer.lap("select")
         if chosen is not None and self.config.drop_late and timer.total > 1e3 * latency:

@@ -7,9 +7,13 @@ from jaxplan.compilation import compilations
 from jaxplan.planner import PlannerConfig, RefinementConfig, build_planner
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
+from jaxplan.prediction.futures import Futures
 from jaxplan.prediction.observations import first_observation
+from jaxplan.records import replace
 from jaxplan.replanner import Replanner, ReplannerConfig
+from jaxplan.replanner.committed import hold
 from jaxplan.replanner.pace import FIRST, REMEMBERED, Pace
+from jaxplan.replanner.vain import WORSE, Vain
 from jaxplan.spline import hover
 from jaxplan.status import PlanStatus
 from jaxplan.vehicle.load import load_vehicle
@@ -71,3 +75,39 @@ def test_steps_follow_the_slowest_of_the_last_refinements():
         pace.took(24.0, STEPS)
     assert pace.steps(left=100.0, latency=100.0) == 40
     assert pace.steps(left=20.0, latency=100.0) == pace.steps(left=-5.0, latency=100.0) == 0
+
+
+def test_what_was_tried_in_vain_is_tried_again_only_against_another_plan_or_a_worse_one():
+    vain, plan, other = Vain(), hold(hover(START)), hold(hover(START))
+    vain.against(plan, 3.0)
+    assert vain.is_worth("refine")
+    vain.remember("refine")
+    assert not vain.is_worth("refine")
+    assert vain.is_worth("stop")
+    for meeting, worth in ((2.5, False), (3.0 + 0.9 * WORSE, False), (3.0 + 1.1 * WORSE, True), (np.inf, True)):
+        vain.against(plan, meeting)
+        assert vain.is_worth("refine") == worth
+    vain.against(other, 3.0)
+    assert vain.is_worth("refine")
+
+
+@pytest.mark.parametrize(("receding", "least", "most"), [(0.0, 1, 2), (0.2, 4, 6)])
+def test_a_committed_plan_is_refined_again_where_it_has_become_worse(planner, receding, least, most):
+    """The target flies as predicted, or each prediction has it farther away than the one before."""
+    asked = []
+
+    def refine(state, candidates, seed, iterations=None):
+        asked.append(state)
+        return planner.refine(state, candidates, seed, iterations)
+
+    def predicted(observations, cycle):
+        times = 0.1 * np.arange(0, 31)
+        flown = (times + 0.1 * cycle)[:, None] * np.array([0.4, 0.1, 0.0])
+        ahead = np.array([1.6 + receding * cycle, 0.3, 0.2]) + flown
+        found = candidates_from(START + ahead[0], START + ahead[1:], times[1:], np.zeros(30))
+        return replace(found, futures=Futures(times=times, positions=(START + ahead)[None], weights=np.ones(1)))
+
+    replanner = Replanner(planner._replace(refine=refine), predicted, hover(START))
+    cycles = [replanner.step(0.1 * cycle, first_observation(0.1 * cycle, START)) for cycle in range(6)]
+    assert [cycle.status for cycle in cycles].count(PlanStatus.KEPT_COMMITTED) >= 3
+    assert least <= len(asked) <= most
