@@ -12,6 +12,7 @@ NAMES = (
     "trajectories",
     "tune-knots",
     "network-size",
+    "placing",
     "faults",
     "vehicles",
     "reference-times",

@@ -11,6 +11,7 @@ import pytest
 from experiments import (
     closed_loop,
     faults,
+    placing,
     plan_audit,
     policy_comparison,
     prediction_comparison,
@@ -261,6 +262,37 @@ def test_the_report_of_made_up_flights_says_how_many_rollouts_the_margins_save()
     assert "| 100 | 0.600 | 0.750 | < 100 (1.00) |" in text
     assert "| 200 | 0.800 | 0.850 | 141 (0.71) |" in text
     assert "| 400 | 0.849 | 0.840 | 199 (0.50) |" in text
+
+
+def test_placed_plans_are_counted_by_start_vehicle_and_room(tmp_path: Path) -> None:
+    """Two vehicles with a course each: shares of what is kept, of that what is tracked, times over the best one's."""
+
+    def plan(time: float | None, tracked: bool | None = None) -> dict:
+        return {"time": time, "tracked": tracked}
+
+    def flown(name: str, placed: dict, best: dict, filled: float) -> dict:
+        plans = {"profile": plan(None), "placed": placed, "placed, refined": placed, "optimiser": best}
+        course = {"start": "from flight", "filled": filled, "plans": plans}
+        return {"name": name, "mass": 0.5, "thrust_to_weight": 3.0, "motor_time_constant": 0.02, "courses": [course]}
+
+    rows = [
+        flown("mfrl", plan(1.2, True), plan(1.0, True), 0.02),
+        flown("random vehicle 0", plan(1.5, False), plan(1.0, True), 0.3),
+        flown("random vehicle 1", plan(None), plan(None), 0.3),
+    ]
+    config = placing.Config(vehicles=2)
+    items = placing.items(config)
+    assert [item.values["number"] for item in items] == [None, 0, 1]
+    found = placing.report(Results(config, items, rows, [1.0] * 3, [True] * 3, {}, {}))
+    assert "| mfrl | from flight | placed | 1 | 1.000 | 1.000 | 1.200 |" in found.markdown
+    assert "| others | from flight | placed | 2 | 0.500 | 0.000 | 1.500 |" in found.markdown
+    assert "| others | from flight | profile | 2 | 0.000 | - | - |" in found.markdown
+    assert "| mfrl | 0.50 | 3.0 | 20 | - | - | - | 1.000 | 1.000 | 1.200 |" in found.markdown
+    assert "| 12% to 100% | from flight | 2 | 0.500 | 0.000 | 1.500 |" in found.markdown
+    found.figures["placing.png"](tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").stat().st_size > 10_000
+    with pytest.raises(InputError, match="--rooms 40"):
+        placing.Config(rooms=40)
 
 
 def test_the_policies_are_compared_on_what_is_left(tmp_path: Path) -> None:
