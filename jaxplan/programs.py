@@ -5,8 +5,8 @@ compiled, so other code, another world or other weights never get a program that
 
 * every kind of machine and every version has a folder of its own (``folder_name``): a program of another processor may
   do what this one cannot;
-* every entry has its SHA-256 beside it, written when the process that compiled it ends. What has none, or another one,
-  is removed before JAX can see it, and compiled anew;
+* every entry has its SHA-256 beside it, written after a warm-up and when the process that compiled it ends. What has
+  none, or another one, is removed before JAX can see it, and compiled anew;
 * what was traced is beside it, with its sum inside (``jaxplan.kept``);
 * XLA's warnings about tuning flags, pages of them at every start, are silenced where JAX is not yet imported.
 
@@ -117,7 +117,14 @@ def use() -> str | None:
             value = os.environ[name]
             jax.config.update(name.lower(), value if name.endswith("DIR") else int(value))
     atexit.register(seal, folder)
-    return f"cache: {removed} damaged or unfinished entries removed from {folder}" if removed else None
+    return f"cache: {removed} damaged entries removed from {folder}" if removed else None
+
+
+def vouch() -> None:
+    """Write the sums of what was compiled so far now, not only when this process ends: another one may start before."""
+    folder = folder_in_use()
+    if folder is not None:
+        seal(folder)
 
 
 def folder_in_use() -> Path | None:
@@ -205,19 +212,19 @@ def _remove(entry: Path) -> None:
 
 
 def _remove_unsound(folder: Path) -> int:
-    """Remove the entries that are not what their sums say; how many there were."""
-    removed = 0
+    """Remove what no sum vouches for; how much of it has another sum, and is not just of a process that still runs."""
+    damaged = 0
     for entry in _entries(folder):
         stated = _sum_of(entry)
-        good = stated.is_file() and stated.read_text(errors="replace") == hashlib.sha256(entry.read_bytes()).hexdigest()
-        if not good:
+        known = stated.read_text(errors="replace") if stated.is_file() else None
+        if known != hashlib.sha256(entry.read_bytes()).hexdigest():
             _remove(entry)
-            removed += 1
+            damaged += known is not None
     for path in _traced(folder):
         if _without_sum(path.read_bytes()) is None:
             path.unlink(missing_ok=True)
-            removed += 1
-    return removed
+            damaged += 1
+    return damaged
 
 
 def _without_sum(content: bytes) -> bytes | None:

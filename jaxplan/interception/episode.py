@@ -7,6 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from jaxplan import programs
 from jaxplan.compilation import compilations, give_back_memory, uncollected
 from jaxplan.config import InterceptConfig
 from jaxplan.interception.judging import flight_rows, measured_state, until_decided
@@ -39,6 +40,7 @@ def warm_up(scenario: Scenario) -> None:
         _warm_up_flight(scenario)
         planning.result()
     give_back_memory()
+    programs.vouch()
 
 
 def _warm_up_flight(scenario: Scenario) -> None:

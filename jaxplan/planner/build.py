@@ -15,6 +15,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxplan import programs
 from jaxplan.compilation import give_back_memory, uncollected
 from jaxplan.errors import InputError
 from jaxplan.feasibility.classifier import Classifier
@@ -324,6 +325,7 @@ def _warmup(parts: Parts, state: FlatState) -> None:
     if parts.config.captures:
         _capture_once(parts, state, candidates)
     give_back_memory()
+    programs.vouch()
 
 
 def _capture_once(parts: Parts, state: FlatState, candidates: Candidates) -> None:

@@ -64,7 +64,7 @@ def test_what_is_damaged_is_compiled_anew(root: Path) -> None:
     flipped[len(content) // 2] ^= 1
     largest.write_bytes(flipped)
     said, again, _, errors = started(root)
-    assert said == f"cache: 1 damaged or unfinished entries removed from {folder}"
+    assert said == f"cache: 1 damaged entries removed from {folder}"
     assert (again, errors) == (value, "")
     assert largest.is_file()
     assert started(root)[:2] == (None, value)
@@ -81,7 +81,29 @@ def test_whatever_is_wrong_with_an_entry_is_seen(tmp_path: Path) -> None:
         assert list(tmp_path.iterdir()) == []
     entry.write_bytes(content[:-9])  # whoever wrote it was killed: it gets no sum
     programs.seal(tmp_path)
-    assert programs._remove_unsound(tmp_path) == 1
+    assert programs._remove_unsound(tmp_path) == 0
+    assert list(tmp_path.iterdir()) == []
+
+
+BESIDE = """
+import os, subprocess
+if sys.argv[1] == "vouch":
+    programs.vouch()
+ours = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "TF_CPP"))}
+print(subprocess.run([sys.executable, "-c", sys.argv[2]], env=ours, capture_output=True, text=True).stdout)
+"""
+
+
+@pytest.mark.parametrize("vouched", [True, False])
+def test_what_was_compiled_is_vouched_for_before_the_process_ends(root: Path, vouched: bool) -> None:
+    """Another process that starts meanwhile loads it, or compiles it anew, and complains of nothing."""
+    ours = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "TF_CPP"))}
+    command = [sys.executable, "-c", CHILD + BESIDE, "vouch" if vouched else "not yet", CHILD]
+    lines = subprocess.run(command, env=ours, capture_output=True, text=True, check=True).stdout.splitlines()
+    (said, value, hits), (told, again, loaded) = map(json.loads, lines[:2])
+    assert (said, hits, told) == (None, 0, None)
+    assert value == again
+    assert (loaded > 0) == vouched
 
 
 def test_entries_of_other_machines_and_versions_are_not_looked_at(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
