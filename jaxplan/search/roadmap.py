@@ -6,6 +6,7 @@ the roads through it: what results is what would be made from the start.
 """
 
 import functools
+import logging
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,8 @@ from jaxplan.world.occupancy import cell_centres, finest_shape
 
 TILE = 20
 """Cells of the finest lattice along a side of a tile (arbitrary)."""
+MANY = 6000
+"""Places from which on a log says that their roads take minutes (arbitrary: 9,000 took three on busy cores)."""
 
 _Places = tuple[Float[np.ndarray, "_ 3"], Float[np.ndarray, "_ 3"]]
 """Positions [m] and normals."""
@@ -144,6 +147,13 @@ def _level(field: Field, room: Float[np.ndarray, "2 3"], limit: float, wider: Le
     parts = side_by_side(lambda tile: _places(field, room, limit, wider, *tile), _tiles(field.values.shape))
     points, normals, tiles = _numbered(parts, wider)
     shared = len(points) - int(tiles.sum())
+    if len(points) > MANY:
+        logging.getLogger(__name__).warning(
+            "jaxplan: this map has %d places to fly around at cells of %g m: their roads take minutes, once; a larger "
+            "resolution has fewer",
+            len(points),
+            field.frame[6],
+        )
     pairs = join(tuple(field), limit, points, normals, np.ones(len(points), dtype=bool), shared, (room[0], room[1]))
     labels = label_components(_open_cells(field, room, limit, (slice(None),) * 3))
     return Level(limit, linked(points, normals, pairs, None if wider is None else wider.roads), shared, tiles, labels)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxplan.precision import in_float64
-from jaxplan.search import store
+from jaxplan.search import roadmap, store
 from jaxplan.search.roadmap import Roadmap, build_roadmap
 from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import World
@@ -43,6 +43,19 @@ def test_what_is_read_is_what_was_built(folder: Path, world: World, monkeypatch:
     monkeypatch.setattr(store, "build_roadmap", None)
     assert same(load(world, 0.1, LIMITS), built)
     assert len(list(folder.iterdir())) == 1
+
+
+def test_a_map_whose_roads_take_long_is_announced_once(
+    folder: Path, world: World, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    load(world, 0.2, LIMITS[:1])
+    assert not caplog.messages
+    monkeypatch.setattr(roadmap, "MANY", 10)
+    load(world, 0.1, LIMITS[:1])
+    assert len(caplog.messages) == 1
+    assert "places to fly around at cells of 0.1 m: their roads take minutes, once" in caplog.messages[0]
+    load(world, 0.1, LIMITS[:1])
+    assert len(caplog.messages) == 1
 
 
 def test_another_world_limit_or_resolution_is_another_file(folder: Path, world: World) -> None:
