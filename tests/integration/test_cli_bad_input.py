@@ -21,7 +21,7 @@ CASES = {
     "start outside": (["--start", "50", "0", "1"], 10, "start"),
     "start in a pillar": (["--start", "1", "-0.05", "1"], 10, "start"),
     "missing world": (["--world", "absent.stl"], 11, "absent.stl"),
-    "missing target model": (["--predictor", "gmm", "--target-model", "absent.npy"], 11, "absent.json"),
+    "missing target model": (["--predictor", "gmm", "--target-model", "absent.npy"], 11, "absent.npy"),
     "text as target model": (["--predictor", "gmm", "--target-model", "text.npy"], 11, "text.json"),
     "target model of another room": (["--world", "env2", "--predictor", "gmm", "--target-model", ENV1], 10, "dt"),
     "missing policy": (["--policy", "absent.npz"], 11, "absent.npz"),
