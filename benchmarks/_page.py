@@ -102,7 +102,8 @@ def _how(run: Mapping[str, Any]) -> str:
     for name, one in run["benchmarks"].items():
         sizes = f"`{' '.join(one['sizes'])}`" if one["sizes"] else ""
         taken = (f"{one['seconds']:.0f}", f"{one['load_average']:.1f}")
-        lines.append([f"`jaxplan bench {name}`", sizes, *taken, one.get("failed", "")])
+        module = f"bench_{name.replace('-', '_')}"
+        lines.append([f"`python -m benchmarks.{module}`", sizes, *taken, one.get("failed", "")])
     table = _table(["benchmark", "sizes", "seconds", "load", "failed"], lines)
     return f"""## How it was measured
 
