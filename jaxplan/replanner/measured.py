@@ -24,7 +24,7 @@ def usual_measured(measured: Measured) -> Measured:
         turned = name == "attitude"
         if array.shape != (4 if turned else 3,) or not np.isfinite(array).all() or (turned and not _is_unit(array)):
             wanted = "a unit quaternion w x y z" if turned else "three finite numbers"
-            raise InputError(f"measured: {name} is {values!r}, want {wanted}")
+            raise InputError(f"measured: {name} is {' '.join(repr(values).split())}, want {wanted}")
         parts.append(array)
     return Measured(*parts)
 
