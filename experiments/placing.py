@@ -52,8 +52,6 @@ from .placing_report import OPTIMUM, OWN, STARTS, report
 
 SEEDS = 1_000_000
 """Added to the seed: no training has rooms or vehicles of as large a one."""
-EXCESS = 0.1
-"""s; how long rotors may be out of their range, as for refined plans."""
 LONGEST = 20.0
 """s; until when the target waits at its goal."""
 
@@ -107,7 +105,7 @@ def evaluate(config: Config, item: Item) -> Row:
     vehicle = _vehicle(config, item.values["number"])
     problems, rooms = _problems(config, vehicle), _rooms(config)
     first = build_planner(_settings(), world=rooms[0], vehicle=vehicle, policy=constant_speed_policy())
-    planners = [first, *(first.in_world(room) for room in rooms[1:])]
+    planners, filled = [first, *(first.in_world(room) for room in rooms[1:])], [_filled(room) for room in rooms]
     rows: list[Row] = []
     for start, part in zip(STARTS, problems, strict=True):
         made = _made(config, vehicle, item.values["number"] is None, part)
@@ -119,7 +117,7 @@ def evaluate(config: Config, item: Item) -> Row:
             )
             room = lane // config.courses
             found = _planned(planners[room], course, config.most)
-            rows.append({"start": start, "filled": _filled(rooms[room]), "plans": found})
+            rows.append({"start": start, "filled": filled[room], "plans": found})
     return {
         "name": item.name,
         "mass": float(vehicle.mass),
@@ -166,11 +164,13 @@ def _problems(config: Config, vehicle: Vehicle) -> list[Problems]:
 
 
 def _settings() -> PlannerConfig:
-    return PlannerConfig(refinement=RefinementConfig(soonest=0.1), validator=ValidatorConfig(most_excess=EXCESS))
+    """The last look is at all plans as it is at refined ones."""
+    refinement = RefinementConfig(soonest=0.1)
+    return PlannerConfig(refinement=refinement, validator=ValidatorConfig(most_excess=refinement.most_excess))
 
 
 def _states(initial: FlatStateBatch) -> FlatStateBatch:
-    """In float64, at rest in snap and heading: what plans begin with."""
+    """In float64, with a heading that is held: what plans begin with."""
     derivatives, yaw = np.array(initial.derivatives, float), np.array(initial.yaw, float)
     yaw[1:] = 0.0
     return FlatStateBatch(derivatives=derivatives, yaw=yaw)
@@ -181,10 +181,10 @@ def _made(config: Config, vehicle: Vehicle, own: bool, part: Problems) -> dict[s
     courses, initial = part.courses, _states(part.initial)
     points = np.asarray(courses.points, float)
     trained = _trained(config.placing)
-    alloted: dict[str, Policy] = {"profile": speed_profile_policy(sideways_acceleration(vehicle))}
+    allotted: dict[str, Policy] = {"profile": speed_profile_policy(sideways_acceleration(vehicle))}
     if own:
-        alloted[OWN] = load_policy(OWN)
-    every = {name: _with_times(policy, points, initial) for name, policy in alloted.items()}
+        allotted[OWN] = load_policy(OWN)
+    every = {name: _with_times(policy, points, initial) for name, policy in allotted.items()}
     exact = Courses(points, courses.room, courses.meet_radius, courses.vehicle)
     placed = jax.jit(placing_policy(trained.network, trained.parameters))(exact, initial)
     every["placed"] = (placed.durations, placed.points)
