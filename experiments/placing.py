@@ -34,8 +34,8 @@ from jaxplan.precision import in_float64
 from jaxplan.prediction.candidates import Candidates, candidates_from
 from jaxplan.runner.definition import Experiment, Item, Row
 from jaxplan.spline import FlatState, FlatStateBatch, PiecewisePolynomial
+from jaxplan.tracking.result import held_error
 from jaxplan.tracking.track import track
-from jaxplan.tracking.trial import HELD, USUAL_RADIUS
 from jaxplan.training.placing.courses import CourseConfig, CourseSet, load_courses, make_courses
 from jaxplan.training.placing.problems import Problems, solved
 from jaxplan.training.placing.run import PlacingConfig, build_draw
@@ -237,7 +237,7 @@ def _filled(room: World) -> float:
 
 def _flown(vehicle: Vehicle, rows: list[Row]) -> list[Row]:
     """The same with what became of each plan in the plant, in place of its spline."""
-    limit = HELD * min(1.0, float(vehicle.radius) / USUAL_RADIUS)
+    limit = held_error(vehicle)
     kept = [(row, name) for row in rows for name, (time, _) in row["plans"].items() if time is not None]
     splines = [row["plans"][name][1] for row, name in kept]
     errors = np.asarray(track(splines, vehicle=vehicle).max_position_error) if splines else np.zeros(0)

@@ -23,8 +23,8 @@ from jaxplan.runner.definition import Experiment, Item, Report, Results, Row
 from jaxplan.runner.tables import as_latex, as_markdown, number
 from jaxplan.scenario import planner_config
 from jaxplan.spline import PiecewisePolynomial, hover
+from jaxplan.tracking.result import held_error
 from jaxplan.tracking.track import track
-from jaxplan.tracking.trial import HELD, USUAL_RADIUS
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.reach import sideways_acceleration
@@ -89,7 +89,7 @@ def evaluate(config: Config, item: Item) -> Row:
     """Plan for one vehicle, and fly what is usable."""
     vehicle, world = _vehicle(item), load_world(config.world)
     usable, least = _planned(config, vehicle, world)
-    limit = HELD * min(1.0, float(vehicle.radius) / USUAL_RADIUS)
+    limit = held_error(vehicle)
     errors = np.asarray(track(usable, vehicle=vehicle).max_position_error) if usable else np.zeros(0)
     return {
         "name": item.name,

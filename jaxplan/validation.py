@@ -9,7 +9,7 @@ import math
 import numbers
 import operator
 import os
-from typing import Any, TypeVar, no_type_check
+from typing import Any, TypeVar, get_args, no_type_check
 
 from jaxplan.errors import InputError
 
@@ -90,7 +90,9 @@ def require_kinds(owner: str, config: object) -> None:
     """Raise ``InputError`` where a field is a configuration or a switch by default and something else here."""
     for field in dataclasses.fields(config):  # type: ignore[arg-type]
         value, usual = getattr(config, field.name), field.default
-        kind = type(usual)
+        kind, may_lack = type(usual), type(None) in get_args(field.type)
+        if value is None and may_lack:
+            continue
         if (kind is bool or dataclasses.is_dataclass(kind)) and not isinstance(value, kind):
             raise InputError(f"{owner}: {field.name} is {value!r}, want a {kind.__name__}")
 

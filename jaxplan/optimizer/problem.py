@@ -123,6 +123,13 @@ def unflatten(flat: Float[Array, "v k"]) -> Variables:
     )
 
 
+def slowed(flat: Float[np.ndarray, "v"], factor: float) -> Float[np.ndarray, "v"]:
+    """The variables of one start with all durations so many times as long (host)."""
+    longer = np.zeros(len(flat))
+    longer[: len(flat) // 4] = np.log(factor)
+    return flat + longer
+
+
 def meeting_time(variables: Variables) -> Float[Array, "k"]:
     """Seconds from the plan's start to the meeting."""
     return jnp.sum(jnp.exp(variables.log_durations[:-1]), axis=0)

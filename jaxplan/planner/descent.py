@@ -30,6 +30,8 @@ class Descended(NamedTuple):
     """When it meets the target [s]."""
     least: float
     """Of the optimiser's margins."""
+    variables: Float[np.ndarray, "v"]
+    """What it is made of (``optimizer.problem.flatten``)."""
     spline: PiecewisePolynomial
 
 
@@ -85,7 +87,7 @@ def build_descent(config: RefinementConfig, vehicle: Vehicle) -> Descend:
         heading = np.zeros((len(found.durations), 6))
         heading[:, 0] = yaw
         spline = PiecewisePolynomial(durations=found.durations, position=found.position, yaw=heading)
-        return Descended(found.objective, found.least, spline)
+        return Descended(found.objective, found.least, found.x, spline)
 
     return descended
 

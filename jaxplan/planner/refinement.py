@@ -6,12 +6,15 @@ result is checked like any plan, and only taken where it is sooner.
 """
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxplan.optimizer.interior_point import DescentConfig
-from jaxplan.optimizer.problem import Limits, TargetTable, flatten
+from jaxplan.optimizer.problem import Limits, TargetTable, flatten, slowed
 from jaxplan.planner.border import usual_candidates, usual_state
+from jaxplan.planner.descent import Descended
 from jaxplan.planner.parts import Parts
 from jaxplan.planner.refined import Refined, RefinementConfig, Seed
 from jaxplan.planner.starts import Expected, placed_start, seed_start
@@ -29,44 +32,90 @@ VIOLATION = 0.02
 """A margin of the optimiser below 0 by less counts as kept: the last look decides (arbitrary)."""
 START_SPARE = 5e-3
 """m; a plan that begins closer to an obstacle than it should keeps so much less than it has there (arbitrary)."""
+TRIES, SLOWER = 3, 1.12
+"""How often a plan is looked for that the model follows, and how many times as slow each try begins, and as cautious it
+is, as the one before (docs/decisions/0050)."""
 STILL = 1e-6
 """rad/s; a plan that begins with a turning heading is not refined: the heading of refined ones is held."""
+
+
+class _Asked(NamedTuple):
+    """One interception to be made sooner."""
+
+    expected: Expected
+    offset: Float[np.ndarray, "3"]
+    """Of the target that is met from the expected one [m]."""
+    radius: float
+    """Within which it must be passed [m]."""
+    starts: Float[np.ndarray, "k v"]
+    """Where the descent may begin."""
+
+    def target(self) -> TargetTable:
+        """The expected motion as the descent takes it."""
+        position, interval = self.expected.position, self.expected.interval
+        velocity = np.gradient(position, interval, axis=0)
+        return TargetTable(
+            interval=np.asarray(interval), position=position, velocity=velocity, offset=self.offset[:, None]
+        )
 
 
 def refine(
     parts: Parts, state: FlatState, candidates: Candidates, seed: Seed, iterations: int | None = None
 ) -> Refined | None:
-    """A plan that is sooner than ``seed`` where there is one, checked."""
-    config, expected = parts.config.refinement, None
+    """A plan that is sooner than ``seed`` where there is one, checked.
+
+    Where the vehicle's model does not follow it, it is looked for again, more cautiously, if there is time.
+    """
+    config = parts.config.refinement
     state, candidates = usual_state(state), usual_candidates(candidates)
-    if config is not None and config.soonest <= seed.meeting and abs(float(state.yaw[1])) < STILL:
-        expected = _expected(candidates)
-    if config is None or parts.descend is None or expected is None:
+    if config is None or parts.descend is None or seed.meeting < config.soonest or abs(float(state.yaw[1])) >= STILL:
+        return None
+    asked = _asked(parts, state, candidates, seed, config)
+    if asked is None:
+        return None
+    steps = config.iterations if iterations is None else iterations
+    descent, target, starts = replace(DESCENT, iterations=steps), asked.target(), asked.starts
+    for nth in range(TRIES):
+        limits = _limits(parts, state, asked.radius, config, SLOWER**nth)
+        found = parts.descend(parts.room, state, target, limits, starts, descent)
+        refined = _judged(parts, state, asked, found, seed.likelihood)
+        if refined.reasons != Reason.UNTRACKABLE or steps < config.iterations:
+            break
+        starts = slowed(found.variables, SLOWER)[None]
+    return refined
+
+
+def _asked(
+    parts: Parts, state: FlatState, candidates: Candidates, seed: Seed, config: RefinementConfig
+) -> _Asked | None:
+    """None where the target's motion is not known."""
+    expected = _expected(candidates)
+    if expected is None:
         return None
     offset = np.asarray(seed.goal) - expected.at(seed.meeting)
-    target = TargetTable(
-        interval=np.asarray(expected.interval),
-        position=expected.position,
-        velocity=np.gradient(expected.position, expected.interval, axis=0),
-        offset=offset[:, None],
-    )
     radius = expected.meet_radius(seed.meeting, config)
     starts = [seed_start(seed, expected.at(seed.meeting) + offset, radius, config.segments)]
     if parts.placing is not None:
         starts.append(placed_start(*parts.placing, parts.room, state, seed, expected, offset, radius))
-    descent = replace(DESCENT, iterations=config.iterations if iterations is None else iterations)
-    limits = _limits(parts, state, radius, config)
-    begin = np.concatenate([flatten(start).T for start in starts])
-    time, least, spline = parts.descend(parts.room, state, target, limits, begin, descent)
+    return _Asked(expected, offset, radius, np.concatenate([flatten(start).T for start in starts]))
+
+
+def _judged(parts: Parts, state: FlatState, asked: _Asked, found: Descended, likelihood: float) -> Refined:
+    """What a descent has found, with all that is against it; the model flies what is good otherwise."""
+    config, time, spline = parts.config.refinement, found.time, found.spline
+    assert config is not None
     verdict = validate(spline, parts.room, parts.vehicle, parts.keep, _strict(parts, config), start=state)
-    late = Reason.ALPHA_LT_1 if time > expected.horizon else Reason(0)
-    unkept = Reason(0) if least >= -VIOLATION else Reason.LIMITS
+    late = Reason.ALPHA_LT_1 if time > asked.expected.horizon else Reason(0)
+    unkept = Reason(0) if found.least >= -VIOLATION else Reason.LIMITS
+    reasons = late | unkept | _against(verdict.faults)
+    if not reasons and parts.flyer is not None and not parts.flyer.follows(spline):
+        reasons = Reason.UNTRACKABLE
     return Refined(
         spline=spline,
-        goal=expected.at(time) + offset,
+        goal=asked.expected.at(time) + asked.offset,
         arrival_time=time,
-        score=parts.config.likelihood_weight * seed.likelihood - time,
-        reasons=late | unkept | _against(verdict.faults),
+        score=parts.config.likelihood_weight * likelihood - time,
+        reasons=reasons,
         clearance=verdict.clearance,
     )
 
@@ -100,8 +149,11 @@ def _expected(candidates: Candidates) -> Expected | None:
     return Expected(interval, position, np.interp(times, instants, spread))
 
 
-def _limits(parts: Parts, state: FlatState, radius: float, config: RefinementConfig) -> Limits:
-    """What one plan keeps to: the planner's distances and some more, or what it has where it begins."""
+def _limits(parts: Parts, state: FlatState, radius: float, config: RefinementConfig, slower: float) -> Limits:
+    """What one plan keeps to: the planner's distances and some more, or what it has where it begins.
+
+    The body must be able to fly it ``slower`` times as fast as usually.
+    """
     keep = parts.keep
     speed = float(np.linalg.norm(np.asarray(state.vel)))
     own = float(parts.room.free_distance(np.asarray(state.pos)[None])[0])
@@ -112,6 +164,6 @@ def _limits(parts: Parts, state: FlatState, radius: float, config: RefinementCon
         "per_speed": keep.per_speed,
         "most": keep.most - keep.least,
         "meet_radius": radius,
-        "dilation": config.dilation,
+        "dilation": config.dilation * slower,
     }
     return Limits(**{name: np.full(1, number) for name, number in numbers.items()})

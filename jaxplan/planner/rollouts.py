@@ -7,6 +7,7 @@ plan (docs/decisions/0036).
 """
 
 import dataclasses
+import math
 from typing import NamedTuple
 
 import jax
@@ -22,6 +23,7 @@ from jaxplan.tracking.kernels.flight import fly, on_reference
 from jaxplan.tracking.kernels.sampling import references
 from jaxplan.tracking.kernels.step import POS, QUAT, VEL
 from jaxplan.tracking.rates import CONTROL_RATE
+from jaxplan.tracking.result import held_error
 from jaxplan.validation import require_at_least, require_positive
 from jaxplan.vehicle.params import Vehicle
 
@@ -46,11 +48,16 @@ class RolloutConfig:
     """Largest distance [m] from the plan at which it counts as followed (arbitrary)."""
     most_twist: float = 0.8
     """Largest turn [rad] about body z from what the plan demands (half of where an episode is lost)."""
+    whole_share: float = 0.9
+    """Largest distance [m] from a refined plan, flown from its own start to its end, as a share of the error with which
+    a flight of such a vehicle counts as held (docs/decisions/0050)."""
+    whole_twist: float = 0.4
+    """And the largest turn [rad] about body z there: half of ``most_twist``, since the vehicle begins on the plan."""
     margin: float = 0.05
     """What flown positions keep from obstacles beyond the vehicle's radius [m] (arbitrary)."""
 
     def __post_init__(self) -> None:
-        require_positive("rollouts", self, "seconds", "most_error", "most_twist")
+        require_positive("rollouts", self, "seconds", "most_error", "most_twist", "whole_share", "whole_twist")
         require_at_least("rollouts", self, 0.0, "margin")
 
     @property
@@ -85,11 +92,22 @@ class Flyer(NamedTuple):
 
     craft: Craft
     config: RolloutConfig
+    held_error: float
+    """With which a flight counts as held [m]."""
+
+    def follows(self, spline: PiecewisePolynomial) -> bool:
+        """Whether the model, on its reference where a plan begins, stays near it until its end."""
+        count = max(math.ceil(float(spline.duration) * CONTROL_RATE), 1)
+        wanted = sampled(spline, np.arange(count + 1) / CONTROL_RATE)
+        rows, yaw = np.asarray(wanted.derivatives), np.asarray(wanted.yaw)
+        flown = fly(self.craft, on_reference(self.craft, rows[0, 0], yaw[0, 0]), rows, yaw)
+        near = float(flown.error[0]) <= self.config.whole_share * self.held_error
+        return near and float(flown.twist[0]) <= self.config.whole_twist
 
 
 def build_flyer(config: RolloutConfig, vehicle: Vehicle) -> Flyer:
     """The vehicle's model with its controller (host); compiled when it flies first, once for all vehicles."""
-    return Flyer(craft_of(vehicle), config)
+    return Flyer(craft_of(vehicle), config, held_error(vehicle))
 
 
 def sampled(splines: SplineBatch | PiecewisePolynomial, times: Float[np.ndarray, "n"]) -> FlatState:

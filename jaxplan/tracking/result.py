@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, UInt32
 from jaxplan.errors import InputError
 from jaxplan.records import record
 from jaxplan.validation import require_positive
+from jaxplan.vehicle.params import Vehicle
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,6 +32,14 @@ TRAINING = Thresholds()
 """Labels and rewards of MFRL: 0.20 m and 15 degrees."""
 SUCCESS = Thresholds(position=0.40, yaw=math.radians(45.0))
 """Success of an interception (paper, Sec. IV): 0.40 m and 45 degrees."""
+
+USUAL_RADIUS = 0.18
+"""m, of the preset mfrl."""
+
+
+def held_error(vehicle: Vehicle) -> float:
+    """Largest error [m] of a flight that counts as held, less for vehicles smaller than mfrl: with their radius."""
+    return TRAINING.position * min(1.0, float(vehicle.radius) / USUAL_RADIUS)
 
 
 class Flaw(enum.IntFlag):

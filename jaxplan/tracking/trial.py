@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from jaxplan.spline import FlatState
 from jaxplan.tracking.rates import CONTROL_RATE
+from jaxplan.tracking.result import USUAL_RADIUS, held_error
 from jaxplan.tracking.rollout import ControllerName, build_plant
 from jaxplan.vehicle.limits import most_thrust
 from jaxplan.vehicle.params import Vehicle
@@ -15,11 +16,6 @@ from jaxplan.vehicle.reach import sideways_acceleration
 
 SECONDS = 8.0
 """How long each is flown (arbitrary)."""
-HELD = 0.2
-"""Largest error [m] of a flight that counts as held, for vehicles as large as the preset mfrl; less for smaller ones,
-in proportion to their radius."""
-USUAL_RADIUS = 0.18
-"""m, of mfrl."""
 TURN = 2.0
 """Thrust of the turn, in weights; less where the vehicle has not got it."""
 SPARED = 0.9
@@ -46,7 +42,7 @@ class Trial(NamedTuple):
 def trial_flights(vehicle: Vehicle, controller: ControllerName = "indi", seed: int = 0) -> list[Trial]:
     """A hover, an eight with what a plan may ask for, and a turn of 2 g, in the plant with its noise (host)."""
     plant, size = build_plant(vehicle, controller=controller), float(vehicle.radius) / USUAL_RADIUS
-    limit, found = HELD * min(1.0, size), []
+    limit, found = held_error(vehicle), []
     for name, reference in (
         ("hover", eight(0.0, 1.0)),
         ("eight", eight(sideways_acceleration(vehicle), 2.0 * size)),

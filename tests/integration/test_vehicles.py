@@ -12,7 +12,7 @@ from jaxplan.config import InterceptConfig
 from jaxplan.errors import InputError
 from jaxplan.scenario import build_scenario, planner_config, with_a_planner
 from jaxplan.spline import hover
-from jaxplan.tracking.trial import HELD, USUAL_RADIUS
+from jaxplan.tracking.result import held_error
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.reach import sideways_acceleration
 from jaxplan.world.load import load_world
@@ -110,4 +110,4 @@ def test_what_is_called_usable_is_tracked(name: str, tmp_path: Path) -> None:
     usable = [plans.spline(index) for index in np.flatnonzero(plans.reasons == 0)]
     assert len(usable) > 40
     errors = np.asarray(jaxplan.track(usable, vehicle=vehicle).max_position_error)
-    assert (errors < HELD * min(1.0, float(vehicle.radius) / USUAL_RADIUS)).mean() >= 0.9
+    assert (errors < held_error(vehicle)).mean() >= 0.9

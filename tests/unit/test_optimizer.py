@@ -12,7 +12,7 @@ from jaxplan.compilation import compilations
 from jaxplan.errors import InputError
 from jaxplan.optimizer.kernels import descent
 from jaxplan.optimizer.margins import linearise, values
-from jaxplan.optimizer.problem import Limits, TargetTable, Task, Variables, flatten
+from jaxplan.optimizer.problem import Limits, TargetTable, Task, Variables, flatten, slowed
 from jaxplan.planner import Fault, PlannerConfig, RefinementConfig, Seed, build_planner
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
@@ -144,3 +144,10 @@ def test_wrong_settings_are_refused(options):
 def test_only_passing_plans_with_a_held_heading_are_refined(options):
     with pytest.raises(InputError, match="refinement"):
         dataclasses.replace(PlannerConfig(**options), refinement=RefinementConfig())
+
+
+def test_a_start_is_slowed_by_its_durations_alone():
+    one = np.random.default_rng(3).normal(size=24)
+    longer = slowed(one, 1.25)
+    assert_close(np.exp(longer[:6]), 1.25 * np.exp(one[:6]), "formula")
+    np.testing.assert_array_equal(longer[6:], one[6:])

@@ -1,14 +1,19 @@
 """Plans flown in the model: what is followed, what is not, and that where the vehicle comes from counts."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from jaxplan.errors import InputError
+from jaxplan.minsnap.single import minimum_snap
 from jaxplan.minsnap.spline_batch import SplineBatch
 from jaxplan.planner.rollouts import Rollout, RolloutConfig, build_flyer, sampled
 from jaxplan.planner.validator import Room
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.tracking.rates import CONTROL_RATE
+from jaxplan.tracking.result import held_error
+from jaxplan.tracking.track import track
 from jaxplan.vehicle.load import load_vehicle
 from tolerances import assert_close
 
@@ -146,3 +151,36 @@ def test_references_of_a_batch_are_those_of_its_splines():
 def test_limits_are_positive(name):
     with pytest.raises(InputError, match=name):
         RolloutConfig(**{name: 0.0})
+
+
+def dash(seconds, turn=0.0):
+    """Minimum snap to 4 m ahead, from rest to rest; the heading turns by ``turn`` within the first half."""
+    way = np.array([[0.0, 0.0, 2.0], [2.0, 0.3, 2.0], [4.0, 0.0, 2.0]])
+    found = minimum_snap(way, [seconds / 2, seconds / 2])
+    yaw = np.zeros((2, 6))
+    yaw[0, 1] = yaw[1, 0] = turn
+    return PiecewisePolynomial(durations=found.durations, position=found.position, yaw=yaw)
+
+
+@pytest.mark.parametrize("name", ["mfrl", "racer5", "x500"])
+def test_a_whole_plan_is_followed_as_the_plant_follows_it(name):
+    """Slow flights are, fast ones are not, and in between the plant with its noise agrees."""
+    vehicle = load_vehicle(name)
+    flyer = build_flyer(CONFIG, vehicle)
+    flights = [dash(seconds) for seconds in (12.0, 6.0, 3.0, 2.0, 1.5, 1.2, 0.8)]
+    errors = np.asarray(track(flights, vehicle=vehicle).max_position_error) / held_error(vehicle)
+    followed = np.array([flyer.follows(flight) for flight in flights])
+    assert followed[0]
+    assert not followed[-1]
+    assert (np.diff(followed.astype(int)) <= 0).all()
+    assert (errors[followed] < 1.0).all()
+    assert not followed[errors > 1.3].any()
+
+
+def test_a_plan_whose_turn_about_body_z_is_lost_is_not_followed():
+    strict, patient = (
+        build_flyer(dataclasses.replace(CONFIG, whole_share=50.0, whole_twist=most), VEHICLE) for most in (0.4, 3.2)
+    )
+    assert strict.follows(dash(4.0, turn=0.1))
+    assert not strict.follows(dash(4.0, turn=30.0))
+    assert patient.follows(dash(4.0, turn=30.0))
