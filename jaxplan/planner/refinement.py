@@ -81,7 +81,7 @@ def refine(
         refined = _judged(parts, state, asked, found, seed.likelihood)
         if refined.reasons != Reason.UNTRACKABLE or steps < config.iterations:
             break
-        starts = slowed(found.variables, SLOWER)[None]
+        starts = np.concatenate([slowed(found.variables, SLOWER)[None], asked.starts])
     return refined
 
 

@@ -43,11 +43,13 @@ class RolloutConfig:
     """How long plans are flown, and what is then followed."""
 
     seconds: float = 1.0
-    """Before now, along the reference, and from now on, along the plan (docs/decisions/0036)."""
+    """Before now, along the reference (docs/decisions/0036)."""
+    ahead: float = 1.5
+    """From now on, along the plan [s] (docs/decisions/0050)."""
     most_error: float = 0.3
     """Largest distance [m] from the plan at which it counts as followed (arbitrary)."""
-    most_twist: float = 0.8
-    """Largest turn [rad] about body z from what the plan demands (half of where an episode is lost)."""
+    most_twist: float = 0.6
+    """Largest turn [rad] about body z from what the plan demands (three quarters of where an episode is lost)."""
     whole_share: float = 0.9
     """Largest distance [m] from a refined plan, flown from its own start to its end, as a share of the error with which
     a flight of such a vehicle counts as held (docs/decisions/0050)."""
@@ -57,18 +59,23 @@ class RolloutConfig:
     """What flown positions keep from obstacles beyond the vehicle's radius [m] (arbitrary)."""
 
     def __post_init__(self) -> None:
-        require_positive("rollouts", self, "seconds", "most_error", "most_twist", "whole_share", "whole_twist")
+        require_positive("rollouts", self, "seconds", "ahead", "most_error", "most_twist", "whole_share", "whole_twist")
         require_at_least("rollouts", self, 0.0, "margin")
 
     @property
     def steps(self) -> int:
-        """Control steps before and after."""
+        """Control steps before now."""
         return max(round(self.seconds * CONTROL_RATE), 1)
+
+    @property
+    def steps_ahead(self) -> int:
+        """And from now on."""
+        return max(round(self.ahead * CONTROL_RATE), 1)
 
 
 @record
 class Rollouts:
-    """What became of plans in the model, until ``seconds`` from now."""
+    """What became of plans in the model, until ``RolloutConfig.ahead`` from now."""
 
     clearance: Float[np.ndarray, "k"]
     """The least free distance of the flown positions [m]."""
@@ -150,7 +157,7 @@ class Rollout:
         return self._flyer.config
 
     def along(self, references: FlatState, since: int = 0) -> Rollouts:
-        """Fly ``references`` (k, steps + 1), whose first rows are those of now.
+        """Fly ``references`` (k, n), whose first rows are those of now.
 
         Errors count after ``since`` control steps, when the plans take over: a plan need not go on where another led.
         """

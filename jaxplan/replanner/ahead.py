@@ -19,7 +19,7 @@ class Ahead:
 
     def __init__(self, model: Rollout, committed: CommittedPlans, now: float) -> None:
         self._model = model
-        self._times = now + np.arange(model.config.steps + 1) / CONTROL_RATE
+        self._times = now + np.arange(model.config.steps_ahead + 1) / CONTROL_RATE
         self._kept = committed.reference(self._times)
         self.committed = model.along(jax.tree.map(lambda rows: rows[None], self._kept))
         """Of the plans that are committed already."""
