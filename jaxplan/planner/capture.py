@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from jaxplan.batching import pick
 from jaxplan.minsnap.spline_batch import SplineBatch
-from jaxplan.planner.kernels.captures import expected_times
+from jaxplan.planner.kernels.captures import expected_times, straight_times
 from jaxplan.prediction.candidates import Candidates, candidates_from
 from jaxplan.prediction.futures import Futures
 from jaxplan.spline import FlatState, PiecewisePolynomial
@@ -141,13 +141,8 @@ def straight_capture_times(
 
     They stop soon behind their goals.
     """
-    position, velocity = np.asarray(state.pos, float), np.asarray(state.vel, float)
-    whole = np.maximum(times, STEP)
-    since = np.minimum(prospect.times[:, None], whole + 2.0 * STEP)
-    missed = goals - position - velocity * whole[:, None]
-    share = (since / whole) ** 2
-    way = position[:, None] + since[:, None] * velocity[:, None] + share[:, None] * missed.T
-    return _of_ways(prospect, way)
+    start = np.asarray(state.derivatives, float)[:2]
+    return straight_times(*prospect, start, goals, np.maximum(times, STEP), 2.0 * STEP, RETURN_SPEED)
 
 
 def _of_ways(prospect: Prospect, ways: Float[np.ndarray, "u 3 k"]) -> Float[np.ndarray, "k"]:

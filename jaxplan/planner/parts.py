@@ -12,6 +12,7 @@ from jaxplan.arrays import AnyArray
 from jaxplan.batching import at_fixed_width, pick
 from jaxplan.planner.capture import Prospect, straight_capture_times
 from jaxplan.planner.descent import Descend
+from jaxplan.planner.kernels.goals import reasons_against
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.planner.rollouts import Flyer
 from jaxplan.planner.stations import Match, Routes, Stations, Trajectories
@@ -27,6 +28,7 @@ from jaxplan.search.stops import stop_points
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason
 from jaxplan.vehicle.params import Vehicle
+from jaxplan.vehicle.reach import farthest
 from jaxplan.world.obstacles import World
 
 GOALS_AT_ONCE = 512
@@ -97,6 +99,11 @@ class Parts(NamedTuple):
         target = np.asarray(candidates.target)
         if len(goals) == 0:
             return reasons.copy()
+        if self.lattices.roadmap is not None:
+            start, distances = np.asarray(state.pos), (float(self.world.keep_in), self.config.padding)
+            far = farthest(self.vehicle, float(np.linalg.norm(np.asarray(state.vel))), times)
+            solids = self.lattices.roadmap.field.solids
+            return reasons | reasons_against(solids, self.room.bounds, distances, start, goals, times, far)
 
         def mark(members: Members) -> _Reasons:
             some = Candidates(

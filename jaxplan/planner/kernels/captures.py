@@ -37,6 +37,35 @@ def expected_times(
     return expected
 
 
+def straight_times(
+    times: Float[np.ndarray, "u"],
+    motions: Float[np.ndarray, "u n 3"],
+    weights: Float[np.ndarray, "n"],
+    reach: Float[np.ndarray, "u"],
+    start: Float[np.ndarray, "2 3"],
+    goals: Float[np.ndarray, "k 3"],
+    arrival: Float[np.ndarray, "k"],
+    behind: float,
+    return_speed: float,
+) -> Float[np.ndarray, "k"]:
+    """The same along flights straight to goals, at a constant acceleration each.
+
+    Args:
+        times, motions, weights, reach, return_speed: as of ``expected_times``.
+        start: position [m, world] and velocity [m/s].
+        goals: [m, world].
+        arrival: when each is reached [s]; positive.
+        behind: how long flights go on behind their goals [s].
+    """
+    some = np.flatnonzero(weights)
+    futures = np.ascontiguousarray(np.moveaxis(np.asarray(motions, float)[:, some], 1, 0))
+    shares = np.ascontiguousarray(weights[some], float)
+    expected, way = np.zeros(len(goals)), np.zeros((len(times), 3))
+    at, far, begin, ends, when = (np.array(part, float, order="C") for part in (times, reach, start, goals, arrival))
+    _compiled_straight()(at, futures, shares, far, begin, ends, when, (behind, float(return_speed)), way, expected)
+    return expected
+
+
 @runtime_checkable
 class _Expected(Protocol):
     def __call__(
@@ -63,6 +92,46 @@ def _compiled() -> _Expected:
         for k in range(len(ways)):
             for n in range(len(futures)):
                 expected[k] += weights[n] * _captured(times, futures[n], reach, ways[k], return_speed)
+
+    return entry  # type: ignore[no-any-return]
+
+
+@runtime_checkable
+class _Straight(Protocol):
+    def __call__(
+        self,
+        times: np.ndarray,
+        futures: np.ndarray,
+        weights: np.ndarray,
+        reach: np.ndarray,
+        start: np.ndarray,
+        goals: np.ndarray,
+        arrival: np.ndarray,
+        settings: tuple[float, float],
+        way: np.ndarray,
+        expected: np.ndarray,
+    ) -> None:
+        """Adds to the expected times, which are zeros; ``way`` is overwritten."""
+
+
+@functools.cache
+def _compiled_straight() -> _Straight:
+    version = source_digest()
+
+    @entry_point
+    @no_type_check
+    def entry(times, futures, weights, reach, start, goals, arrival, settings, way, expected):
+        _ = version
+        behind, return_speed = settings
+        for k in range(len(goals)):
+            for axis in range(3):
+                missed = goals[k, axis] - start[0, axis] - start[1, axis] * arrival[k]
+                for u in range(len(times)):
+                    since = min(times[u], arrival[k] + behind)
+                    share = since / arrival[k]
+                    way[u, axis] = start[0, axis] + since * start[1, axis] + share * share * missed
+            for n in range(len(futures)):
+                expected[k] += weights[n] * _captured(times, futures[n], reach, way, return_speed)
 
     return entry  # type: ignore[no-any-return]
 
