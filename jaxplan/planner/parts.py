@@ -9,10 +9,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt32
 
 from jaxplan.arrays import AnyArray
+from jaxplan.arrival import time_to
 from jaxplan.batching import at_fixed_width, pick
+from jaxplan.knots import KnotConfig
 from jaxplan.planner.capture import Prospect, straight_capture_times
 from jaxplan.planner.descent import Descend
 from jaxplan.planner.kernels.goals import reasons_against
+from jaxplan.planner.kernels.profile import least_times
+from jaxplan.planner.kernels.routes import place_waypoints
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.planner.rollouts import Flyer
 from jaxplan.planner.stations import Match, Routes, Stations, Trajectories
@@ -28,7 +32,7 @@ from jaxplan.search.stops import stop_points
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason
 from jaxplan.vehicle.params import Vehicle
-from jaxplan.vehicle.reach import farthest
+from jaxplan.vehicle.reach import farthest, sideways_acceleration
 from jaxplan.world.obstacles import World
 
 GOALS_AT_ONCE = 512
@@ -173,10 +177,7 @@ class Parts(NamedTuple):
             behind = stop_points(self.lattices, self.world, paths, velocities)
             stops = np.where(passing[:, None], behind[member], stops)
 
-        def place(some: Members) -> Routes:
-            return self.stations.route(paths.points[member[some]], stops[some])
-
-        routes = at_fixed_width(place, np.arange(len(member)), self.config.width)
+        routes = routes_along(paths.points[member], stops, self.config.knots)
         return routes if velocities is None else routes._replace(velocity=velocities[member].T)
 
     def allocations(self, state: FlatState) -> tuple[Allocation, ...]:
@@ -188,6 +189,17 @@ class Parts(NamedTuple):
         if asked == "both":
             return (profile, policy) if slow else (profile,)
         return (profile,) if asked == "profile" else (policy,)
+
+    def least_times(
+        self, allocation: Allocation, state: FlatState, routes: Routes, alpha: float
+    ) -> Float[np.ndarray, "k"]:
+        """Seconds until goals are met, by an allocation at a given scale factor."""
+        if allocation.match is self.stations.match_profile:
+            waypoints, count, meet = (np.asarray(part) for part in routes[:3])
+            velocity, acceleration = np.asarray(state.vel), sideways_acceleration(self.vehicle)
+            return least_times(waypoints, count, meet, velocity, alpha, acceleration)
+        durations = self.durations_at(allocation, state, routes, np.full(len(routes.count), alpha))
+        return np.array(time_to(durations, np.asarray(routes.meet)))
 
     def durations_at(
         self, allocation: Allocation, state: FlatState, routes: Routes, alpha: Float[np.ndarray, "k"]
@@ -252,3 +264,16 @@ class Parts(NamedTuple):
         )
         reasons[looked_at[~keeps]] |= np.uint32(Reason.CLEARANCE)
         return Trajectories(splines, replace(margins, clearance=clearance, reasons=reasons))
+
+
+def routes_along(paths: Float[np.ndarray, "k l 3"], stops: Float[np.ndarray, "k 3"], config: KnotConfig) -> Routes:
+    """Waypoints along the corners of paths, and where each goes on to behind its goal [m, world]."""
+    placed = place_waypoints(paths, stops, config)
+    return Routes(
+        waypoints=placed.waypoints,
+        count=placed.count,
+        meet=placed.meet,
+        samples=placed.samples,
+        reasons=np.where(placed.whole, np.uint32(0), np.uint32(Reason.PREFIX_ONLY)),
+        velocity=np.full((3, len(paths)), np.nan),
+    )
