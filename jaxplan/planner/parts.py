@@ -9,13 +9,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt32
 
 from jaxplan.arrays import AnyArray
-from jaxplan.arrival import time_to
 from jaxplan.batching import at_fixed_width, pick
 from jaxplan.knots import KnotConfig
 from jaxplan.planner.capture import Prospect, straight_capture_times
 from jaxplan.planner.descent import Descend
 from jaxplan.planner.kernels.goals import reasons_against
-from jaxplan.planner.kernels.profile import least_times
 from jaxplan.planner.kernels.routes import place_waypoints
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.planner.rollouts import Flyer
@@ -32,7 +30,7 @@ from jaxplan.search.stops import stop_points
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason
 from jaxplan.vehicle.params import Vehicle
-from jaxplan.vehicle.reach import farthest, sideways_acceleration
+from jaxplan.vehicle.reach import farthest
 from jaxplan.world.obstacles import World
 
 GOALS_AT_ONCE = 512
@@ -190,21 +188,12 @@ class Parts(NamedTuple):
             return (profile, policy) if slow else (profile,)
         return (profile,) if asked == "profile" else (policy,)
 
-    def least_times(
-        self, allocation: Allocation, state: FlatState, routes: Routes, alpha: float
-    ) -> Float[np.ndarray, "k"]:
-        """Seconds until goals are met, by an allocation at a given scale factor."""
-        if allocation.match is self.stations.match_profile:
-            waypoints, count, meet = (np.asarray(part) for part in routes[:3])
-            velocity, acceleration = np.asarray(state.vel), sideways_acceleration(self.vehicle)
-            return least_times(waypoints, count, meet, velocity, alpha, acceleration)
-        durations = self.durations_at(allocation, state, routes, np.full(len(routes.count), alpha))
-        return np.array(time_to(durations, np.asarray(routes.meet)))
-
     def durations_at(
         self, allocation: Allocation, state: FlatState, routes: Routes, alpha: Float[np.ndarray, "k"]
     ) -> Float[np.ndarray, "m k"]:
         """Durations [s] by one of them at given scale factors."""
+        if allocation.match is self.stations.match_profile:  # for any number
+            return np.asarray(allocation.match(state, routes, np.zeros(len(alpha)), alpha).least_durations)
         at_once = np.zeros(self.config.width)
 
         def ask(some: Members) -> _Times:

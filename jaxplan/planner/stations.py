@@ -19,9 +19,9 @@ from jaxplan.knots import MAX_WAYPOINTS
 from jaxplan.minsnap.quadratic_program import Passage
 from jaxplan.minsnap.spline_batch import SplineBatch, fit
 from jaxplan.numerics import safe_norm
+from jaxplan.planner.kernels.profile import profile_arrival
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.policy.protocol import Policy
-from jaxplan.policy.speed_profile import speed_profile_policy
 from jaxplan.prediction.candidates import Candidates, reject_early
 from jaxplan.selection import Margins, check_flight
 from jaxplan.spline import FlatState
@@ -144,9 +144,16 @@ def compile_stations(
             splines, check_flight(splines, paths, vehicle, config.checks, probability, least_probability)
         )
 
-    profile = speed_profile_policy(sideways_acceleration(vehicle))
-    by_policy, by_profile = (kept(functools.partial(match, by)) for by in (policy, profile))
-    return Stations(reject, by_policy, by_profile, solve)
+    acceleration = sideways_acceleration(vehicle)
+
+    def by_profile(
+        state: FlatState, routes: Routes, arrival_times: Float[AnyArray, "k"], least_alpha: Float[AnyArray, "k"]
+    ) -> Arrival:
+        waypoints, count, meet, velocity = (np.asarray(part) for part in (*routes[:3], state.vel))
+        times, least = np.asarray(arrival_times), np.asarray(least_alpha)
+        return profile_arrival(waypoints, count, meet, velocity, times, least, acceleration, config.arrival)
+
+    return Stations(reject, kept(functools.partial(match, policy)), by_profile, solve)
 
 
 def _at_target(routes: Routes, durations: Float[Array, "m k"], target: Float[Array, "3"]) -> Float[Array, "n 2 k"]:

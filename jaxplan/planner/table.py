@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int, UInt32
 
-from jaxplan.arrival import Arrival
+from jaxplan.arrival import Arrival, time_to
 from jaxplan.batching import fill, join, pick
 from jaxplan.planner.capture import Prospect, capture_times
 from jaxplan.planner.parts import Allocation, Parts
@@ -170,7 +170,8 @@ def bound(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
     first, *_ = parts.allocations(state)
     begin, count = int(route[rows[0]]), len(paths.count)
     routes = shortened(pick(table.routes, np.arange(begin, begin + count)))
-    times = parts.least_times(first, state, routes, least)
+    durations = parts.durations_at(first, state, routes, np.full(count, least))
+    times = np.asarray(time_to(durations, np.asarray(routes.meet))).copy()
     times[len(rows) :][paths.reasons[len(rows) :] != 0] = np.inf
     soonest = np.argmin(times.reshape(-1, len(rows)), axis=0) * len(rows) + np.arange(len(rows))
     alpha[rows] = least * table.arrival_times(rows) / times[soonest]

@@ -5,12 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplan.arrival import sped_up, time_to
+from jaxplan.arrival import Arrival, ArrivalConfig, match_arrival
 from jaxplan.knots import KnotConfig, select_routes
-from jaxplan.planner.kernels.profile import least_times
+from jaxplan.planner.kernels.profile import profile_arrival
 from jaxplan.planner.kernels.routes import place_waypoints
 from jaxplan.policy.speed_profile import speed_profile_policy
 from jaxplan.spline import hover
+from jaxplan.status import Reason
 from tolerances import assert_close
 
 
@@ -41,21 +42,28 @@ def test_waypoints_are_those_of_the_other_code(config: KnotConfig) -> None:
 
 
 @pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize("alpha", [0.75, 1.0, 1.7])
+@pytest.mark.parametrize("config", [ArrivalConfig(), ArrivalConfig(least_alpha=0.75, tolerance=1e-2, max_calls=9)])
 @pytest.mark.parametrize("speed", [0.0, 3.0, 9.0])
-def test_least_times_are_those_of_the_policy(speed: float, alpha: float) -> None:
+def test_times_by_the_profile_are_those_of_the_policy(speed: float, config: ArrivalConfig) -> None:
     rng = np.random.default_rng(2)
     placed = place_waypoints(*paths(rng), KnotConfig())
     velocity, state = speed * np.array([0.6, -0.64, 0.48]), hover(np.zeros(3))
     state.derivatives[1] = velocity
     policy, width = speed_profile_policy(7.0), placed.waypoints.shape[-1]
+    wanted_times, least = rng.uniform(0.1, 8.0, width), np.full(width, config.least_alpha)
+    wanted_times[::7], least[::5] = 0.0, 1.3
 
     @jax.jit
-    def times() -> jax.Array:
+    def arrive() -> Arrival:
         course = policy.encode(jnp.asarray(placed.waypoints), jnp.asarray(placed.count))
-        durations = policy.decode(course, sped_up(state, jnp.full(width, alpha)))
-        return time_to(durations * alpha, jnp.asarray(placed.meet))
+        meet = jnp.asarray(placed.meet)
+        return match_arrival(
+            lambda d: policy.decode(course, d), state, jnp.asarray(wanted_times), config, meet, jnp.asarray(least)
+        )
 
-    found = least_times(placed.waypoints, placed.count, placed.meet, velocity, alpha, 7.0)
-    assert_close(found, times(), "formula")
-    assert (found > 0.0).all()
+    sequences = placed.waypoints, placed.count, placed.meet
+    found, wanted = profile_arrival(*sequences, velocity, wanted_times, least, 7.0, config), arrive()
+    for mine, theirs in zip(found, wanted, strict=True):
+        assert_close(mine, theirs, "solve")
+    assert {0, int(Reason.ALPHA_LT_1)} <= set(np.unique(found.reasons).tolist())
+    assert found.calls.max() > 2

@@ -58,11 +58,12 @@ def straight_times(
         behind: how long flights go on behind their goals [s].
     """
     some = np.flatnonzero(weights)
-    futures = np.ascontiguousarray(np.moveaxis(np.asarray(motions, float)[:, some], 1, 0))
-    shares = np.ascontiguousarray(weights[some], float)
-    expected, way = np.zeros(len(goals)), np.zeros((len(times), 3))
+    motions = np.asarray(motions, float)[:, some]
+    futures = np.ascontiguousarray(np.moveaxis(motions, 1, 0)), np.ascontiguousarray(np.moveaxis(motions, 2, 1))
+    expected, shares = np.zeros(len(goals)), np.ascontiguousarray(weights[some], float)
     at, far, begin, ends, when = (np.array(part, float, order="C") for part in (times, reach, start, goals, arrival))
-    _compiled_straight()(at, futures, shares, far, begin, ends, when, (behind, float(return_speed)), way, expected)
+    scratch = np.zeros((len(times), 3)), np.zeros(len(some), np.int64)
+    _compiled_straight()(at, futures, shares, far, begin, ends, when, (behind, float(return_speed)), scratch, expected)
     return expected
 
 
@@ -101,17 +102,17 @@ class _Straight(Protocol):
     def __call__(
         self,
         times: np.ndarray,
-        futures: np.ndarray,
+        futures: tuple[np.ndarray, np.ndarray],
         weights: np.ndarray,
         reach: np.ndarray,
         start: np.ndarray,
         goals: np.ndarray,
         arrival: np.ndarray,
         settings: tuple[float, float],
-        way: np.ndarray,
+        scratch: tuple[np.ndarray, np.ndarray],
         expected: np.ndarray,
     ) -> None:
-        """Adds to the expected times, which are zeros; ``way`` is overwritten."""
+        """Write the expected times; the futures are there (n, u, 3) and (u, 3, n). ``scratch`` is overwritten."""
 
 
 @functools.cache
@@ -120,37 +121,61 @@ def _compiled_straight() -> _Straight:
 
     @entry_point
     @no_type_check
-    def entry(times, futures, weights, reach, start, goals, arrival, settings, way, expected):
+    def entry(times, futures, weights, reach, start, goals, arrival, settings, scratch, expected):
         _ = version
         behind, return_speed = settings
+        way, first = scratch
         for k in range(len(goals)):
-            for axis in range(3):
-                missed = goals[k, axis] - start[0, axis] - start[1, axis] * arrival[k]
-                for u in range(len(times)):
-                    since = min(times[u], arrival[k] + behind)
-                    share = since / arrival[k]
+            for u in range(len(times)):
+                since = min(times[u], arrival[k] + behind)
+                share = since / arrival[k]
+                for axis in range(3):
+                    missed = goals[k, axis] - start[0, axis] - start[1, axis] * arrival[k]
                     way[u, axis] = start[0, axis] + since * start[1, axis] + share * share * missed
-            for n in range(len(futures)):
-                expected[k] += weights[n] * _captured(times, futures[n], reach, way, return_speed)
+            _first_within(futures[1], reach, way, first)
+            for n in range(len(weights)):
+                expected[k] += weights[n] * _captured_at(times, futures[0][n], reach, way, first[n], return_speed)
 
     return entry  # type: ignore[no-any-return]
 
 
 @inner
 @no_type_check
+def _first_within(columns, reach, way, first):
+    """Write the first instant at which each future is within reach, or their number: many futures at a time."""
+    for n in range(len(first)):
+        first[n] = len(way)
+    for u in range(len(way) - 1, -1, -1):
+        x, y, z, far = way[u, 0], way[u, 1], way[u, 2], reach[u] * reach[u]
+        along, across, up = columns[u, 0], columns[u, 1], columns[u, 2]
+        for n in range(len(first)):
+            a, b, c = along[n] - x, across[n] - y, up[n] - z
+            first[n] = u if a * a + b * b + c * c <= far else first[n]
+
+
+@inner
+@no_type_check
 def _captured(times, future, reach, way, return_speed):
-    """When one future is captured: within an instant and the next, as their distances say, or after the last [s]."""
+    """When one future is captured [s]."""
     for u in range(len(times)):
-        apart = _squared(future, way, u)
-        if apart <= reach[u] * reach[u]:
-            if u == 0:
-                return max(times[0], 0.0)
-            before = math.sqrt(_squared(future, way, u - 1)) - reach[u - 1]
-            there = math.sqrt(apart) - reach[u]
-            share = before / max(before - there, 1e-9)
-            return max(times[u] - (times[1] - times[0]) * (1.0 - share), 0.0)
+        if _squared(future, way, u) <= reach[u] * reach[u]:
+            return _captured_at(times, future, reach, way, u, return_speed)
+    return _captured_at(times, future, reach, way, len(times), return_speed)
+
+
+@inner
+@no_type_check
+def _captured_at(times, future, reach, way, first, return_speed):
+    """When one future is captured: between the ``first`` instant and the one before, or after the last [s]."""
     last = len(times) - 1
-    return times[last] + (math.sqrt(_squared(future, way, last)) - reach[last]) / return_speed
+    if first > last:
+        return times[last] + (math.sqrt(_squared(future, way, last)) - reach[last]) / return_speed
+    if first == 0:
+        return max(times[0], 0.0)
+    before = math.sqrt(_squared(future, way, first - 1)) - reach[first - 1]
+    there = math.sqrt(_squared(future, way, first)) - reach[first]
+    share = before / max(before - there, 1e-9)
+    return max(times[first] - (times[1] - times[0]) * (1.0 - share), 0.0)
 
 
 @inner
