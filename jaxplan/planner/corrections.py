@@ -12,13 +12,12 @@ import functools
 import numpy as np
 from jaxtyping import Float
 
-from jaxplan.knots import MAX_WAYPOINTS
 from jaxplan.planner.border import usual_state
 from jaxplan.planner.capture import Prospect
 from jaxplan.planner.fallbacks import Corrections
 from jaxplan.planner.kernels.ways import StopTable, Trial, Ways, find_ways
 from jaxplan.planner.parts import Parts
-from jaxplan.planner.stations import Routes, shortened
+from jaxplan.planner.stations import LENGTHS, Routes
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason
 
@@ -59,13 +58,13 @@ def correct(parts: Parts, state: FlatState, prospect: Prospect) -> Corrections:
     state = usual_state(state)
     goals, stops, times, rests = _ways(parts, state, prospect)
     count, start = len(times), np.asarray(state.pos)
-    waypoints = np.repeat(stops.T[None], MAX_WAYPOINTS, axis=0)
+    waypoints = np.repeat(stops.T[None], LENGTHS[0], axis=0)
     waypoints[0], waypoints[1] = start[:, None], goals.T
     along = np.linspace(0.0, 1.0, parts.config.knots.samples)[:, None, None]
     samples = start[:, None] + along * (stops.T - start[:, None])
     none, free = np.zeros(count, np.uint32), np.full((3, count), np.nan)
-    routes = shortened(Routes(waypoints, np.full(count, 3, np.int32), np.ones(count, np.int32), samples, none, free))
-    durations = np.zeros((len(routes.waypoints) - 1, count))
+    routes = Routes(waypoints, np.full(count, 3, np.int32), np.ones(count, np.int32), samples, none, free)
+    durations = np.zeros((len(waypoints) - 1, count))
     durations[0], durations[1] = times, rests
 
     solved = parts.solve(state, routes, durations, start, LEAST_PROBABILITY)

@@ -29,8 +29,8 @@ from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.reach import reach, sideways_acceleration
 from jaxplan.world.obstacles import World
 
-LENGTHS = (3, 7, MAX_WAYPOINTS)
-"""Waypoints of the sequences that are compiled: corrections have the first number, most plans at most the second."""
+LENGTHS = (7, MAX_WAYPOINTS)
+"""Waypoints of the sequences that are compiled: most replans have no longer one than the first."""
 
 
 class Routes(NamedTuple):

@@ -10,30 +10,34 @@ from jaxtyping import Float
 from jaxplan.planner.kernels.compiled import entry_point, inner, source_digest
 
 
-def expected_times(
+def spline_times(
     times: Float[np.ndarray, "u"],
     motions: Float[np.ndarray, "u n 3"],
     weights: Float[np.ndarray, "n"],
     reach: Float[np.ndarray, "u"],
-    ways: Float[np.ndarray, "u 3 k"],
+    durations: Float[np.ndarray, "k m"],
+    position: Float[np.ndarray, "k m q 3"],
+    since: float,
     return_speed: float,
 ) -> Float[np.ndarray, "k"]:
-    """Expected seconds until capture along each of k ways.
+    """Expected seconds until capture along each of k trajectories, at rest where they end.
 
     Args:
         times: even instants [s].
         motions: of n futures [m, world].
         weights: of the futures; those without are not looked at.
         reach: how far from a way [m] a future is captured at each instant; not negative.
-        ways: positions of the plans [m, world].
+        durations: of the trajectories' segments [s]; 0 behind the last one.
+        position: ascending coefficients in normalised time [m, world].
+        since: when the trajectories begin to count [s of their own time].
         return_speed: at which what is missed at the end is counted [m/s].
     """
     some = np.flatnonzero(weights)
     futures = np.ascontiguousarray(np.moveaxis(np.asarray(motions, float)[:, some], 1, 0))
-    rows = np.ascontiguousarray(np.moveaxis(np.asarray(ways, float), 2, 0))
-    expected, shares = np.zeros(len(rows)), np.ascontiguousarray(weights[some], float)
-    at, far = np.array(times, float), np.array(reach, float)  # writable, whatever they were: one program
-    _compiled()(at, futures, shares, far, rows, float(return_speed), expected)
+    expected, way = np.zeros(len(durations)), np.zeros((len(times), 3))
+    shares = np.ascontiguousarray(weights[some], float)
+    at, far, parts, terms = (np.array(numbers, float, order="C") for numbers in (times, reach, durations, position))
+    _compiled()(at, futures, shares, far, parts, terms, (float(since), float(return_speed)), way, expected)
     return expected
 
 
@@ -51,7 +55,7 @@ def straight_times(
     """The same along flights straight to goals, at a constant acceleration each.
 
     Args:
-        times, motions, weights, reach, return_speed: as of ``expected_times``.
+        times, motions, weights, reach, return_speed: as of ``spline_times``.
         start: position [m, world] and velocity [m/s].
         goals: [m, world].
         arrival: when each is reached [s]; positive.
@@ -75,11 +79,13 @@ class _Expected(Protocol):
         futures: np.ndarray,
         weights: np.ndarray,
         reach: np.ndarray,
-        ways: np.ndarray,
-        return_speed: float,
+        durations: np.ndarray,
+        position: np.ndarray,
+        settings: tuple[float, float],
+        way: np.ndarray,
         expected: np.ndarray,
     ) -> None:
-        """Adds to the expected times, which are zeros."""
+        """Adds to the expected times, which are zeros; ``way`` is overwritten."""
 
 
 @functools.cache
@@ -88,13 +94,34 @@ def _compiled() -> _Expected:
 
     @entry_point
     @no_type_check
-    def entry(times, futures, weights, reach, ways, return_speed, expected):
+    def entry(times, futures, weights, reach, durations, position, settings, way, expected):
         _ = version
-        for k in range(len(ways)):
+        since, return_speed = settings
+        for k in range(len(durations)):
+            for u in range(len(times)):
+                _write(durations[k], position[k], since + times[u], way[u])
             for n in range(len(futures)):
-                expected[k] += weights[n] * _captured(times, futures[n], reach, ways[k], return_speed)
+                expected[k] += weights[n] * _captured(times, futures[n], reach, way, return_speed)
 
     return entry  # type: ignore[no-any-return]
+
+
+@inner
+@no_type_check
+def _write(durations, position, time, place):
+    """Write where a trajectory is [m, world] at one of its times [s], at its ends before and behind."""
+    begun, segment = 0.0, 0
+    while segment + 1 < len(durations) and durations[segment + 1] > 0.0 and time >= begun + durations[segment]:
+        begun += durations[segment]
+        segment += 1
+    duration = durations[segment] if durations[segment] > 0.0 else 1.0
+    share = min(max((time - begun) / duration, 0.0), 1.0)
+    terms = position[segment]
+    for axis in range(3):
+        found = terms[len(terms) - 1, axis]
+        for power in range(len(terms) - 2, -1, -1):
+            found = found * share + terms[power, axis]
+        place[axis] = found
 
 
 @runtime_checkable
