@@ -159,7 +159,10 @@ def _compiled_straight() -> _Straight:
                 for axis in range(3):
                     missed = goals[k, axis] - start[0, axis] - start[1, axis] * arrival[k]
                     way[u, axis] = start[0, axis] + since * start[1, axis] + share * share * missed
-            _first_within(futures[1], reach, way, first)
+            for n in range(len(first)):
+                first[n] = len(way)
+            for u in range(len(way) - 1, -1, -1):
+                _mark_within(futures[1][u], reach[u], way[u], u, first)
             for n in range(len(weights)):
                 expected[k] += weights[n] * _captured_at(times, futures[0][n], reach, way, first[n], return_speed)
 
@@ -168,16 +171,14 @@ def _compiled_straight() -> _Straight:
 
 @inner
 @no_type_check
-def _first_within(columns, reach, way, first):
-    """Write the first instant at which each future is within reach, or their number: many futures at a time."""
+def _mark_within(futures, reach, place, u, first):
+    """Write the instant ``u`` for all futures that are within reach then: many at a time."""
+    x, y, z, far = place[0], place[1], place[2], reach * reach
+    along, across, up = futures[0], futures[1], futures[2]
     for n in range(len(first)):
-        first[n] = len(way)
-    for u in range(len(way) - 1, -1, -1):
-        x, y, z, far = way[u, 0], way[u, 1], way[u, 2], reach[u] * reach[u]
-        along, across, up = columns[u, 0], columns[u, 1], columns[u, 2]
-        for n in range(len(first)):
-            a, b, c = along[n] - x, across[n] - y, up[n] - z
-            first[n] = u if a * a + b * b + c * c <= far else first[n]
+        a, b, c = along[n] - x, across[n] - y, up[n] - z
+        if a * a + b * b + c * c <= far:  # a conditional expression is not made one for many at a time
+            first[n] = u
 
 
 @inner
