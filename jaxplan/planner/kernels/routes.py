@@ -81,11 +81,12 @@ def _one(path, stop, settings, scratch, placed, k):
     for i in range(len(path)):
         points[i, 0], points[i, 1], points[i, 2] = path[i, 0], path[i, 1], path[i, 2]
     _resample(points, distance, last, 1.0, samples)
-    share = min(settings[2] / _wanted(samples, parameter, settings), 1.0)
+    wanted = _wanted(samples, parameter, settings)
+    share = min(settings[2] / wanted, 1.0)
     if share < 1.0:
         _resample(points, distance, last, share, samples)
-    wanted = math.ceil(_wanted(samples, parameter, settings))
-    knots = settings[2] if wanted > settings[2] else int(wanted)
+        wanted = _wanted(samples, parameter, settings)
+    knots = settings[2] if wanted > settings[2] else math.ceil(wanted)
     _waypoints(samples, parameter, knots, waypoints, k)
     passing = share >= 1.0 and (stop[0] != path[last, 0] or stop[1] != path[last, 1] or stop[2] != path[last, 2])
     if passing:
