@@ -65,15 +65,15 @@ class ArrivalConfig:
 class Arrival(NamedTuple):
     """Time allocations that arrive at T_goal, one lane per candidate."""
 
-    durations: Float[Array, "m k"]
+    durations: Float[AnyArray, "m k"]
     """Seconds per segment, summing to T_goal exactly up to the meeting where converged."""
-    alpha: Float[Array, "k"]
+    alpha: Float[AnyArray, "k"]
     """Scale factor; at least the least one where the candidate is reachable, else in proportion to T_goal."""
-    least_durations: Float[Array, "m k"]
+    least_durations: Float[AnyArray, "m k"]
     """Seconds per segment at the least alpha."""
-    reasons: UInt32[Array, "k"]
+    reasons: UInt32[AnyArray, "k"]
     """ALPHA_LT_1 or ALPHA_NOT_CONVERGED; 0 where the arrival time is met."""
-    calls: Int[Array, "k"]
+    calls: Int[AnyArray, "k"]
     """Calls of the time allocation until the lane was done."""
 
 

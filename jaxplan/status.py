@@ -104,5 +104,9 @@ def bit(bad: Bool[Array, "*batch"], reason: enum.IntFlag) -> UInt32[Array, "*bat
 def count_reasons(reasons: UInt32[np.ndarray, "k"]) -> dict[str, int]:
     """How many candidates carry each bit (host); names in lower case, only those that occur."""
     values = np.asarray(reasons, dtype=np.uint32)
-    counts = {reason.name.lower(): int(np.count_nonzero(values & int(reason))) for reason in Reason if reason.name}
-    return {name: count for name, count in counts.items() if count}
+    counts = np.count_nonzero(values & _BITS[:, None], axis=1).tolist()
+    return {name: count for name, count in zip(_NAMES, counts, strict=True) if count}
+
+
+_NAMES = [reason.name.lower() for reason in Reason if reason.name]
+_BITS = np.array([int(reason) for reason in Reason if reason.name], np.uint32)

@@ -80,7 +80,7 @@ from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.obstacles import World
 from jaxplan.world.update import Change, without_boxes
 
-PORTION = 3
+PORTION = 2
 """Widths of candidates that get their waypoints at a time: of about so many one width may arrive in time (measured)."""
 DOUBT = 0.25
 """s; how much sooner a candidate's trajectory may capture than a straight flight promises (arbitrary)."""

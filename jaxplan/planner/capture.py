@@ -15,9 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxplan.batching import pick
 from jaxplan.minsnap.spline_batch import SplineBatch
-from jaxplan.planner.kernels.captures import expected_times
+from jaxplan.planner.kernels.captures import spline_times, straight_times
 from jaxplan.prediction.candidates import Candidates, candidates_from
 from jaxplan.prediction.futures import Futures
 from jaxplan.spline import FlatState, PiecewisePolynomial
@@ -60,7 +59,8 @@ class CaptureConfig:
     @property
     def reach(self) -> Float[np.ndarray, "u"]:
         """How far from a plan [m] the target is captured at each of them."""
-        return np.asarray(self.radius + 0.5 * self.correction * np.maximum(self.times - self.reaction, 0.0) ** 2)
+        since = np.maximum(self.times - self.reaction, 0.0)
+        return np.asarray(self.radius + 0.5 * self.correction * since**2)
 
 
 class Prospect(NamedTuple):
@@ -83,7 +83,7 @@ class Prospect(NamedTuple):
     @property
     def mean(self) -> Float[np.ndarray, "u 3"]:
         """Where the target is expected [m, world]."""
-        return np.einsum("n,una->ua", self.weights, self.motions)
+        return np.asarray(np.matmul(self.weights, self.motions))
 
     def mean_at(self, time: float) -> Float[np.ndarray, "3"]:
         """Where it is expected [m, world] at one instant [s]."""
@@ -98,12 +98,13 @@ def prospect_of(futures: Futures, config: CaptureConfig) -> Prospect:
         chosen = chosen[np.linspace(0, len(chosen) - 1, MOTIONS).round().astype(int)]
     weights = np.asarray(futures.weights, dtype=np.float64)[chosen]
     few = Futures(times=futures.times, positions=np.asarray(futures.positions)[chosen], weights=weights)
-    motions, missing = np.moveaxis(few.at(config.times), 0, 1), MOTIONS - len(chosen)
+    times, reach = config.times, config.reach
+    motions, missing = np.moveaxis(few.at(times), 0, 1), MOTIONS - len(chosen)
     return Prospect(
-        times=config.times,
+        times=times,
         motions=np.concatenate([motions, np.repeat(motions[:, :1], missing, axis=1)], axis=1),
         weights=np.pad(weights / weights.sum(), (0, missing)),
-        reach=config.reach,
+        reach=reach,
     )
 
 
@@ -120,18 +121,18 @@ def capture_times(
 
     NaN for all but ``some``: each takes its time, and what does not pass is not compared.
     """
-    times, at = np.full(splines.durations.shape[1], np.nan), prospect.times[:, None]
+    times = np.full(splines.durations.shape[1], np.nan)
     some = np.arange(len(times)) if some is None else some
     if len(some):
-        ways = pick(splines, some).positions(np.broadcast_to(at, (len(at), len(some))))
-        times[some] = _of_ways(prospect, ways)
+        durations, position = np.asarray(splines.durations)[:, some], np.asarray(splines.position)[..., some]
+        times[some] = spline_times(*prospect, durations.T, np.moveaxis(position, -1, 0), 0.0, RETURN_SPEED)
     return times
 
 
 def capture_time(prospect: Prospect, spline: PiecewisePolynomial, since: float = 0.0) -> float:
     """The same for what is left of one trajectory ``since`` [s of its own time]."""
-    at = np.minimum(since + prospect.times, float(spline.duration))
-    return float(_of_ways(prospect, np.asarray(spline.evaluate(at))[:, :3, None])[0])
+    durations, position = np.asarray(spline.durations)[None], np.asarray(spline.position)[None]
+    return float(spline_times(*prospect, durations, position, since, RETURN_SPEED)[0])
 
 
 def straight_capture_times(
@@ -141,15 +142,5 @@ def straight_capture_times(
 
     They stop soon behind their goals.
     """
-    position, velocity = np.asarray(state.pos, float), np.asarray(state.vel, float)
-    whole = np.maximum(times, STEP)
-    since = np.minimum(prospect.times[:, None], whole + 2.0 * STEP)
-    missed = goals - position - velocity * whole[:, None]
-    share = (since / whole) ** 2
-    way = position[:, None] + since[:, None] * velocity[:, None] + share[:, None] * missed.T
-    return _of_ways(prospect, way)
-
-
-def _of_ways(prospect: Prospect, ways: Float[np.ndarray, "u 3 k"]) -> Float[np.ndarray, "k"]:
-    """Expected seconds until capture along the positions of k plans [m, world] at the instants of the prospect."""
-    return expected_times(*prospect, ways, RETURN_SPEED)
+    start = np.asarray(state.derivatives, float)[:2]
+    return straight_times(*prospect, start, goals, np.maximum(times, STEP), 2.0 * STEP, RETURN_SPEED)

@@ -7,15 +7,17 @@ and it comes to rest behind that, in whatever direction is free. Those goals and
 clear. All are solved and checked at once like any other plan, but for the deviation: there is no path to keep.
 """
 
+import functools
+
 import numpy as np
 from jaxtyping import Float
 
-from jaxplan.knots import MAX_WAYPOINTS
 from jaxplan.planner.border import usual_state
 from jaxplan.planner.capture import Prospect
 from jaxplan.planner.fallbacks import Corrections
+from jaxplan.planner.kernels.ways import StopTable, Trial, Ways, find_ways
 from jaxplan.planner.parts import Parts
-from jaxplan.planner.stations import Routes, shortened
+from jaxplan.planner.stations import LENGTHS, Routes
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason
 
@@ -37,6 +39,8 @@ GOALS, STOPS = 16, 4
 """That are solved: the most promising goals, and stops behind each (64 is the width of the stations)."""
 REACTION, SHORTEST_STOP = 0.12, 0.35
 """s; in which the thrust is turned around, and what a stop takes at least."""
+STOP_REACH = 0.45
+"""Share of the way flown evenly in the time of a stop that the stop leads on."""
 CARRIED = 0.15
 """s; so long the acceleration is taken to go on if nothing changes (arbitrary)."""
 SPARE = 0.1
@@ -54,13 +58,13 @@ def correct(parts: Parts, state: FlatState, prospect: Prospect) -> Corrections:
     state = usual_state(state)
     goals, stops, times, rests = _ways(parts, state, prospect)
     count, start = len(times), np.asarray(state.pos)
-    waypoints = np.repeat(stops.T[None], MAX_WAYPOINTS, axis=0)
+    waypoints = np.repeat(stops.T[None], LENGTHS[0], axis=0)
     waypoints[0], waypoints[1] = start[:, None], goals.T
     along = np.linspace(0.0, 1.0, parts.config.knots.samples)[:, None, None]
     samples = start[:, None] + along * (stops.T - start[:, None])
     none, free = np.zeros(count, np.uint32), np.full((3, count), np.nan)
-    routes = shortened(Routes(waypoints, np.full(count, 3, np.int32), np.ones(count, np.int32), samples, none, free))
-    durations = np.zeros((len(routes.waypoints) - 1, count))
+    routes = Routes(waypoints, np.full(count, 3, np.int32), np.ones(count, np.int32), samples, none, free)
+    durations = np.zeros((len(waypoints) - 1, count))
     durations[0], durations[1] = times, rests
 
     solved = parts.solve(state, routes, durations, start, LEAST_PROBABILITY)
@@ -75,57 +79,31 @@ def correct(parts: Parts, state: FlatState, prospect: Prospect) -> Corrections:
     )
 
 
-def _ways(
-    parts: Parts, state: FlatState, prospect: Prospect
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Goals and stops [m, world], when the goals are reached and how long each stop takes [s]."""
-    wanted = parts.keep.least + SPARE
-    goals, times, passing = _goals(parts, state, prospect, wanted)
-    speed = np.linalg.norm(passing, axis=1)
-    decelerations, turns, climbs = (axis.ravel() for axis in np.meshgrid(DECELERATIONS, TURNS, CLIMBS, indexing="ij"))
-    rests = np.maximum(SHORTEST_STOP, REACTION + speed[:, None] / decelerations)
-    course, climb = np.arctan2(passing[:, 1], passing[:, 0]), np.arcsin(passing[:, 2] / np.maximum(speed, 1e-9))
-    heading, pitch = course[:, None] + np.radians(turns), 0.5 * climb[:, None] + np.radians(climbs)
-    level = np.cos(pitch)
-    directions = np.stack([np.cos(heading) * level, np.sin(heading) * level, np.sin(pitch)], axis=2)
-    stops = goals[:, None] + 0.45 * (rests * speed[:, None])[..., None] * directions
-    cost = TURN_COST * np.abs(turns) + CLIMB_COST * np.abs(climbs) + LONG_COST * (decelerations < max(DECELERATIONS))
-    shares = np.linspace(0.0, 1.0, LOOKED_AT + 1)[1:, None, None, None]
-    cost = cost + NEAR_COST * _missing(parts, goals[:, None] + shares * (stops - goals[:, None]), wanted)
-    best = np.argsort(cost, axis=1, kind="stable")[:, :STOPS]
-    return (
-        np.repeat(goals, STOPS, axis=0),
-        np.take_along_axis(stops, best[..., None], axis=1).reshape(-1, 3),
-        np.repeat(times, STOPS),
-        np.take_along_axis(rests, best, axis=1).ravel(),
-    )
+def _ways(parts: Parts, state: FlatState, prospect: Prospect) -> Ways:
+    """Goals, those first whose ways are clear, and stops behind them."""
+    goals, times = _goals(state, prospect)
+    trial = Trial(parts.keep.least + SPARE, NEAR_COST, LOOKED_AT, SLOW, REACTION, SHORTEST_STOP, reach=STOP_REACH)
+    start = np.array(state.derivatives[:2], float, order="C")
+    return find_ways(parts.room.solids, parts.room.bounds, start, goals, times, _stops(), trial, (GOALS, STOPS))
 
 
-def _goals(
-    parts: Parts, state: FlatState, prospect: Prospect, wanted: float
-) -> tuple[Float[np.ndarray, "g 3"], Float[np.ndarray, "g"], Float[np.ndarray, "g 3"]]:
-    """Goals [m, world], their times [s] and how they are passed [m/s], those first whose ways are clear."""
-    paces = np.clip(np.array(PACES) * _least_time(state, prospect), *TIMES)
-    there = np.stack([prospect.mean_at(time) for time in paces])
+def _goals(state: FlatState, prospect: Prospect) -> tuple[Float[np.ndarray, "g 3"], Float[np.ndarray, "g"]]:
+    """All goals [m, world] and their times [s]."""
+    mean = prospect.mean
+    paces = np.clip(np.array(PACES) * _least_time(state, prospect.times, mean), *TIMES)
+    there = np.stack([np.interp(paces, prospect.times, mean[:, axis]) for axis in range(3)], axis=1)
     carried, shares = _carried(state, paces), np.array(SHARES)[None, :, None]
-    goals = (carried[:, None] + shares * (there - carried)[:, None]).reshape(-1, 3)
-    times = np.repeat(paces, len(SHARES))
-    position, velocity = np.asarray(state.pos), np.asarray(state.vel)
-    since = np.linspace(0.0, 1.0, LOOKED_AT + 1)[1:, None, None]
-    straight = position + since * times[:, None] * velocity
-    way = straight + since**2 * (goals - position - times[:, None] * velocity)
-    order = np.argsort(_missing(parts, way, wanted), kind="stable")[:GOALS]
-    goals, times = goals[order], times[order]
-    even = (goals - position) / times[:, None]
-    passing = 2.0 * even - velocity
-    slow = np.linalg.norm(passing, axis=1) < SLOW
-    return goals, times, np.where(slow[:, None], even, passing)
+    goals = carried[:, None] + shares * (there - carried)[:, None]
+    return goals.reshape(-1, 3), np.repeat(paces, len(SHARES))
 
 
-def _missing(parts: Parts, ways: Float[np.ndarray, "p *n 3"], wanted: float) -> Float[np.ndarray, "*n"]:
-    """By how much [m] each way's points come closer to something than wanted."""
-    free = parts.room.free_distance(ways.reshape(-1, 3)).reshape(ways.shape[:-1])
-    return np.maximum(wanted - free.min(axis=0), 0.0)
+@functools.cache
+def _stops() -> StopTable:
+    """All stops behind a goal."""
+    decelerations, turns, climbs = (axis.ravel() for axis in np.meshgrid(DECELERATIONS, TURNS, CLIMBS, indexing="ij"))
+    cost = TURN_COST * np.abs(turns) + CLIMB_COST * np.abs(climbs) + LONG_COST * (decelerations < max(DECELERATIONS))
+    order = np.argsort(cost, kind="stable")
+    return StopTable(cost[order], order, decelerations[order], np.radians(turns)[order], np.radians(climbs)[order])
 
 
 def _carried(state: FlatState, times: Float[np.ndarray, "t"]) -> Float[np.ndarray, "t 3"]:
@@ -135,9 +113,12 @@ def _carried(state: FlatState, times: Float[np.ndarray, "t"]) -> Float[np.ndarra
     return np.asarray(np.asarray(state.pos) + np.asarray(state.vel) * times + turned)
 
 
-def _least_time(state: FlatState, prospect: Prospect) -> float:
-    """The first instant [s] at which the expected target can be reached with ``ACCELERATION``."""
-    times = prospect.times[1:]
-    missing = np.linalg.norm(prospect.mean[1:] - _carried(state, times), axis=1)
+def _least_time(state: FlatState, times: Float[np.ndarray, "u"], mean: Float[np.ndarray, "u 3"]) -> float:
+    """The first of the instants [s] behind the first at which the expected target can be reached with ``ACCELERATION``.
+
+    ``mean``: where it is expected [m, world].
+    """
+    times = times[1:]
+    missing = np.linalg.norm(mean[1:] - _carried(state, times), axis=1)
     near = missing <= 0.5 * ACCELERATION * times**2
     return float(times[np.argmax(near)]) if near.any() else TIMES[1]

@@ -10,8 +10,11 @@ from jaxtyping import Bool, Float, Int, UInt32
 
 from jaxplan.arrays import AnyArray
 from jaxplan.batching import at_fixed_width, pick
+from jaxplan.knots import KnotConfig
 from jaxplan.planner.capture import Prospect, straight_capture_times
 from jaxplan.planner.descent import Descend
+from jaxplan.planner.kernels.goals import reasons_against
+from jaxplan.planner.kernels.routes import place_waypoints
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.planner.rollouts import Flyer
 from jaxplan.planner.stations import Match, Routes, Stations, Trajectories
@@ -27,6 +30,7 @@ from jaxplan.search.stops import stop_points
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason
 from jaxplan.vehicle.params import Vehicle
+from jaxplan.vehicle.reach import farthest
 from jaxplan.world.obstacles import World
 
 GOALS_AT_ONCE = 512
@@ -97,6 +101,11 @@ class Parts(NamedTuple):
         target = np.asarray(candidates.target)
         if len(goals) == 0:
             return reasons.copy()
+        if self.lattices.roadmap is not None:
+            start, distances = np.asarray(state.pos), (float(self.world.keep_in), self.config.padding)
+            far = farthest(self.vehicle, float(np.linalg.norm(np.asarray(state.vel))), times)
+            solids = self.lattices.roadmap.field.solids
+            return reasons | reasons_against(solids, self.room.bounds, distances, start, goals, times, far)
 
         def mark(members: Members) -> _Reasons:
             some = Candidates(
@@ -166,10 +175,7 @@ class Parts(NamedTuple):
             behind = stop_points(self.lattices, self.world, paths, velocities)
             stops = np.where(passing[:, None], behind[member], stops)
 
-        def place(some: Members) -> Routes:
-            return self.stations.route(paths.points[member[some]], stops[some])
-
-        routes = at_fixed_width(place, np.arange(len(member)), self.config.width)
+        routes = routes_along(paths.points[member], stops, self.config.knots)
         return routes if velocities is None else routes._replace(velocity=velocities[member].T)
 
     def allocations(self, state: FlatState) -> tuple[Allocation, ...]:
@@ -186,6 +192,8 @@ class Parts(NamedTuple):
         self, allocation: Allocation, state: FlatState, routes: Routes, alpha: Float[np.ndarray, "k"]
     ) -> Float[np.ndarray, "m k"]:
         """Durations [s] by one of them at given scale factors."""
+        if allocation.match is self.stations.match_profile:  # for any number
+            return np.asarray(allocation.match(state, routes, np.zeros(len(alpha)), alpha).least_durations)
         at_once = np.zeros(self.config.width)
 
         def ask(some: Members) -> _Times:
@@ -245,3 +253,16 @@ class Parts(NamedTuple):
         )
         reasons[looked_at[~keeps]] |= np.uint32(Reason.CLEARANCE)
         return Trajectories(splines, replace(margins, clearance=clearance, reasons=reasons))
+
+
+def routes_along(paths: Float[np.ndarray, "k l 3"], stops: Float[np.ndarray, "k 3"], config: KnotConfig) -> Routes:
+    """Waypoints along the corners of paths, and where each goes on to behind its goal [m, world]."""
+    placed = place_waypoints(paths, stops, config)
+    return Routes(
+        waypoints=placed.waypoints,
+        count=placed.count,
+        meet=placed.meet,
+        samples=placed.samples,
+        reasons=np.where(placed.whole, np.uint32(0), np.uint32(Reason.PREFIX_ONLY)),
+        velocity=np.full((3, len(paths)), np.nan),
+    )

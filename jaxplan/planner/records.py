@@ -20,6 +20,7 @@ from jaxplan.planner.rollouts import Rollout, RolloutConfig
 from jaxplan.planner.timer import Timer
 from jaxplan.planner.validator import ValidatorConfig, Verdict
 from jaxplan.prediction.candidates import Candidates
+from jaxplan.prediction.futures import Futures
 from jaxplan.records import record
 from jaxplan.search.lattice import METHODS, MOST_ALTERNATIVES
 from jaxplan.selection import CheckConfig, Margins
@@ -127,9 +128,18 @@ def prospect_for(config: PlannerConfig, candidates: Candidates) -> Prospect | No
 
     Raises ``InputError`` for futures whose arrays do not fit together; numbers that mean nothing count as none.
     """
-    asked = config.captures and candidates.futures is not None
-    futures = usual_futures(candidates.futures) if asked else None
-    return None if futures is None else prospect_of(futures, config.capture)
+    if not config.captures or candidates.futures is None:
+        return None
+    futures, capture, prospect = _latest[0]
+    if futures is not candidates.futures or capture is not config.capture:
+        usual = usual_futures(candidates.futures)
+        prospect = None if usual is None else prospect_of(usual, config.capture)
+        _latest[0] = candidates.futures, config.capture, prospect
+    return prospect
+
+
+_latest: list[tuple[Futures | None, CaptureConfig | None, Prospect | None]] = [(None, None, None)]
+"""What was asked for last: a cycle asks for the same twice."""
 
 
 @record

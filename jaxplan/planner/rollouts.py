@@ -10,7 +10,6 @@ import dataclasses
 import math
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -120,10 +119,12 @@ def build_flyer(config: RolloutConfig, vehicle: Vehicle) -> Flyer:
 def sampled(splines: SplineBatch | PiecewisePolynomial, times: Float[np.ndarray, "n"]) -> FlatState:
     """References (k, n) along splines at ``times`` [s of their own]; the first of them before, at rest behind."""
     if isinstance(splines, PiecewisePolynomial):
-        durations, position, yaw = (np.asarray(leaf)[None] for leaf in jax.tree.leaves(splines))
+        turning = np.zeros((len(splines.durations), 1)) if splines.yaw is None else splines.yaw
+        durations, position, yaw = (np.asarray(leaf)[None] for leaf in (splines.durations, splines.position, turning))
         return references(durations, position, yaw, times)
-    durations, position, yaw = (np.moveaxis(np.asarray(leaf), -1, 0) for leaf in jax.tree.leaves(splines))
-    return references(durations, position, yaw[:, :, :, 0], times)
+    parts = splines.durations, splines.position, splines.yaw[:, :, 0]
+    durations, position, yaw = (np.moveaxis(np.asarray(leaf), -1, 0) for leaf in parts)
+    return references(durations, position, yaw, times)
 
 
 class Rollout:

@@ -25,4 +25,6 @@ class Futures:
             return np.repeat(positions, len(times), axis=1)
         before = np.clip(np.searchsorted(own, times, side="right") - 1, 0, len(own) - 2)
         share = np.clip((times - own[before]) / (own[before + 1] - own[before]), 0.0, 1.0)[:, None]
-        return np.asarray(positions[:, before] * (1.0 - share) + positions[:, before + 1] * share)
+        rows = np.swapaxes(positions, 0, 1).reshape(len(own), -1)  # whole rows are gathered at once
+        there = rows[before] * (1.0 - share) + rows[before + 1] * share
+        return np.asarray(np.swapaxes(there.reshape(len(times), -1, 3), 0, 1))

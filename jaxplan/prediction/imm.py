@@ -7,6 +7,7 @@ out evenly among them, so that the filter has no favourite direction.
 
 The noise of the positions is one of several levels, each with a filter of its own; how likely each makes what was seen
 tells which. All functions are pure JAX for one window, in float64 where the caller's JAX has 64-bit types enabled.
+Predictors call ``jaxplan.prediction.kernels.beliefs``, the same step by step; tests compare the two.
 """
 
 import jax

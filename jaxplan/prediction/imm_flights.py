@@ -6,15 +6,13 @@ of the slowest three cosines in white noise; what is faster hardly moves a posit
 ``jaxplan.prediction.particles``, random numbers are the same in every cycle and nobody flies through walls.
 """
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxplan.arrays import AnyArray
 from jaxplan.numerics import safe_norm
-from jaxplan.precision import in_float64
-from jaxplan.prediction.imm import NOISE_LEVELS, NOISE_SHARES, Belief, track
+from jaxplan.prediction.imm import NOISE_LEVELS, NOISE_SHARES, Belief
 from jaxplan.prediction.imm_motions import (
     FADING,
     MODES,
@@ -26,6 +24,7 @@ from jaxplan.prediction.imm_motions import (
     turn_motion,
     turn_rate,
 )
+from jaxplan.prediction.kernels.flights import COSINES, GRID, LARGEST, LARGEST_EXPONENT, filtered
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.particles import even_randoms, fastest_seen, flights_proposal
 from jaxplan.prediction.protocol import PredictionConfig, Proposal, Proposer
@@ -36,13 +35,6 @@ from jaxplan.world.obstacles import World
 
 RANDOMS = 19
 """Normal numbers of a particle: nine for its state, nine for its noise, and one that ``fused`` chooses by."""
-_COSINES = 3
-_GRID = 40
-"""Intervals in which the noise of a flight is summed up."""
-_LARGEST_EXPONENT = 600.0
-"""Keeps a sum finite where a flight is predicted for more than a minute; it errs by millimetres there."""
-_LARGEST = 1.5
-"""Times ``max_acceleration`` that a particle accelerates at most."""
 _START_CLEARANCE = 0.05
 """m: a target that was seen inside something is put so far in front of it."""
 _PUSHES, _SLOPE = 8, 1e-6
@@ -66,15 +58,13 @@ class Filters:
         length = self._config.observations
         return replace(observations, times=observations.times[-length:], positions=observations.positions[-length:])
 
-    def window(
-        self, recent: Observations
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"], Int[np.ndarray, ""]]:
+    def window(self, recent: Observations) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"], int]:
         """Gaps [s], positions [m, world] and the number of the ``newest`` positions (host)."""
         length, count = self._config.observations, len(recent.times)
         gaps, padded = np.full(length, self._config.dt), np.repeat(recent.positions[:1], length, axis=0)
         padded[length - count :] = recent.positions
         gaps[length - count + 1 :] = np.diff(recent.times)
-        return gaps, padded, np.array(count)
+        return gaps, padded, count
 
 
 def imm_proposer(config: PredictionConfig, world: World | None, motion: MotionConfig = USUAL_MOTION) -> Proposer:
@@ -83,12 +73,11 @@ def imm_proposer(config: PredictionConfig, world: World | None, motion: MotionCo
     randoms = even_randoms(RANDOMS)
     room = surroundings_of(world)
 
-    @in_float64
     def propose(observations: Observations, rng: np.random.Generator) -> Proposal:
         window = filters.window(filters.newest(observations))
-        believed, flights = _filtered(motion, filters.noise, window, offsets, randoms)
-        start = outside_of_things(room, np.asarray(believed))
-        return flights_proposal(config, room, start, flights, Note(0), fastest_seen(observations, config))
+        found = filtered(motion, filters.noise, window, 0, 0.0, offsets, randoms)
+        start = outside_of_things(room, found.believed)
+        return flights_proposal(config, room, start, found.flights, Note(0), fastest_seen(observations, config))
 
     return propose
 
@@ -100,7 +89,7 @@ def filter_flights(
     uniform: Float[AnyArray, "n"],
     normal: Float[AnyArray, "n r"],
 ) -> Float[Array, "n s 3"]:
-    """Particles [m, world] from a belief, pure JAX.
+    """Particles [m, world] from a belief, pure JAX: what tests compare ``kernels.flights`` with, which is called.
 
     Args:
         config: what a plausible target is.
@@ -117,7 +106,7 @@ def filter_flights(
     state = state + (factors[:, :, :, None] * normals[:, 0, None]).sum(axis=2)
     position, velocity, acceleration = state[:, 0], state[:, 1], state[:, 2]
     size = safe_norm(acceleration, keepdims=True)
-    acceleration = acceleration * jnp.minimum(1.0, _LARGEST * config.max_acceleration / jnp.maximum(size, 1e-9))
+    acceleration = acceleration * jnp.minimum(1.0, LARGEST * config.max_acceleration / jnp.maximum(size, 1e-9))
     speed = safe_norm(velocity)
     fading, times = liveliness(config, speed).fading[:, None], jnp.asarray(offsets)[None]
     turned = turn_motion(times, turn_rate(config, velocity, acceleration)[:, None])
@@ -147,38 +136,25 @@ def believed_position(belief: Belief) -> Float[Array, "3"]:
     return (belief.shares[..., None] * belief.means[..., 0, :]).sum(axis=(0, 1))
 
 
-@jax.jit(static_argnums=0)
-def _filtered(
-    motion: MotionConfig,
-    noise: tuple[Float[Array, "l"], Float[Array, "l"]],
-    window: tuple[Float[Array, "n"], Float[Array, "n 3"], Int[Array, ""]],
-    offsets: Float[Array, "s"],
-    randoms: tuple[Float[Array, "p"], Float[Array, "p r"]],
-) -> tuple[Float[Array, "3"], Float[Array, "p s 3"]]:
-    """Where the target is believed to be, and its flights."""
-    belief = jax.tree.map(lambda leaf: leaf[-1], track(motion, *noise, *window))
-    return believed_position(belief), filter_flights(motion, belief, offsets, *randoms)
-
-
 def _noise_response(
     config: MotionConfig, offsets: Float[Array, "s"], mode: Int[Array, "n"], speed: Float[Array, "n"]
 ) -> Float[Array, "n s c"]:
     """Metres that a unit of each cosine in a mode's white noise has moved each particle."""
     horizon, expected = offsets[-1], liveliness(config, speed)
-    grid = (np.arange(_GRID) + 0.5) / _GRID
-    waves = np.cos(np.pi * grid[:, None] * np.arange(_COSINES)) * np.where(np.arange(_COSINES) == 0, 1.0, np.sqrt(2.0))
-    weights = waves * jnp.sqrt(horizon) / _GRID
+    grid = (np.arange(GRID) + 0.5) / GRID
+    waves = np.cos(np.pi * grid[:, None] * np.arange(COSINES)) * np.where(np.arange(COSINES) == 0, 1.0, np.sqrt(2.0))
+    weights = waves * jnp.sqrt(horizon) / GRID
     lag = offsets[:, None] - horizon * grid[None]
     begun = jnp.where((lag > 0.0)[..., None], weights[None], 0.0)
     straight, whole = (lag[..., None] * begun).sum(axis=1), begun.sum(axis=1)
     fading = expected.fading[:, None, None]
-    grown = jnp.exp(jnp.minimum(horizon * grid[None] / fading[:, :, 0], _LARGEST_EXPONENT))
+    grown = jnp.exp(jnp.minimum(horizon * grid[None] / fading[:, :, 0], LARGEST_EXPONENT))
     left = jnp.tensordot(grown, begun, ((1,), (1,)))
     left = jnp.exp(-offsets[None, :, None] / fading) * left
     turning = 0.5 * (lag[..., None] ** 2 * begun).sum(axis=1)
     responses = (straight[None], fading * (straight[None] - fading * (whole[None] - left)), turning[None])
     sizes = expected.noises(config)
-    moved = jnp.zeros((len(speed), len(offsets), _COSINES))
+    moved = jnp.zeros((len(speed), len(offsets), COSINES))
     for which in (STRAIGHT, FADING, TURN):
         one = sizes[which][:, None, None] * responses[which]
         moved = jnp.where((mode == which)[:, None, None], one, moved)

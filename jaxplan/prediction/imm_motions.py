@@ -24,8 +24,8 @@ from jaxplan.validation import require_at_least, require_positive, require_range
 
 STRAIGHT, FADING, TURN = range(3)
 MODES = 3
-_NODES, _SHARES = np.polynomial.legendre.leggauss(5)
-_STANDING = 0.05
+NODES, SHARES = np.polynomial.legendre.leggauss(5)
+STANDING = 0.05
 """m^2/s^2 that keep the rate of a turn finite where nothing moves (arbitrary)."""
 
 
@@ -92,7 +92,7 @@ def turn_rate(
 ) -> Float[Array, "*n"]:
     """omega [rad/s] of a turn with this velocity and acceleration."""
     across = safe_norm(jnp.cross(velocity, acceleration))
-    return jnp.minimum(across / ((velocity * velocity).sum(axis=-1) + _STANDING), config.max_rate)
+    return jnp.minimum(across / ((velocity * velocity).sum(axis=-1) + STANDING), config.max_rate)
 
 
 def straight_motion(time: Float[AnyArray, "*n"]) -> Float[Array, "*n 3 3"]:
@@ -130,7 +130,7 @@ def transition(
         rate: of the turn [rad/s].
     """
     expected = liveliness(config, speed)
-    instants, shares = 0.5 * time * (1.0 + _NODES), 0.5 * time * _SHARES  # Gauss-Legendre: no closed form is short
+    instants, shares = 0.5 * time * (1.0 + NODES), 0.5 * time * SHARES  # Gauss-Legendre: no closed form is short
     straight, fading, turn = (noise[:, None, None] for noise in expected.noises(config))
     responses = jnp.stack(
         [

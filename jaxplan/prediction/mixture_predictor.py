@@ -23,14 +23,17 @@ _EVEN = 1e-6
 
 
 class WindowMixture:
-    """A mixture for windows of which only the newest positions may have been seen, on the device.
+    """A mixture for windows of which only the newest positions may have been seen, on the device or in NumPy.
 
     Positions may have more noise than the mixture learned with: it is made ready for each amount when it is first asked
     with so much, which takes some 20 ms.
     """
 
-    def __init__(self, config: PredictionConfig, model: TargetModel, world: World | None) -> None:
+    def __init__(
+        self, config: PredictionConfig, model: TargetModel, world: World | None, on_device: bool = True
+    ) -> None:
         """Raises InputError where the model is for other windows than those of ``config``, or for another room."""
+        self._on_device = on_device
         check_model(model, observations=config.observations, steps=config.steps, dt=config.dt, world=world)
         self._config, self._model, self._anchored = config, model, model.bounds is not None
         self._mixtures: dict[tuple[int, float], ConditionalMixture] = {}
@@ -39,8 +42,9 @@ class WindowMixture:
 
     def _mixture(self, seen: int, noise: float) -> ConditionalMixture:
         if (seen, noise) not in self._mixtures:
-            ready = in_float64(jax.device_put)(self._model.conditional(seen, noise))
-            self._mixtures[seen, noise] = ready
+            ready = self._model.conditional(seen, noise)
+            here = jax.tree.map(lambda leaf: np.array(leaf, float, order="C"), ready)
+            self._mixtures[seen, noise] = in_float64(jax.device_put)(ready) if self._on_device else here
         return self._mixtures[seen, noise]
 
     def given(

@@ -11,16 +11,14 @@ evenly than random ones (Sobol's), so that goals move as the target does and not
 
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 from scipy.special import ndtri
 
 from jaxplan.arrays import AnyArray
-from jaxplan.precision import in_float64
+from jaxplan.prediction.kernels.mixture import conditioned, flights_of
 from jaxplan.prediction.kinematic import expected_acceleration, newest_velocity
-from jaxplan.prediction.mixture import MODES, ConditionalMixture, Prediction, condition
+from jaxplan.prediction.mixture import MODES, ConditionalMixture, Prediction
 from jaxplan.prediction.mixture_predictor import WindowMixture
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.protocol import Draws, Flights, PredictionConfig, Proposal, Proposer
@@ -46,17 +44,16 @@ def particle_proposer(config: PredictionConfig, model: TargetModel, world: World
 
     Raises InputError where the model is for other windows than those of ``config``, or for another room.
     """
-    mixture, offsets = WindowMixture(config, model, world), config.offsets
+    mixture, offsets = WindowMixture(config, model, world, on_device=False), config.offsets
     uniform, normal = even_randoms()
     room = surroundings_of(world)
 
-    @in_float64
     def propose(observations: Observations, rng: np.random.Generator) -> Proposal:
         newest, note, flights = observations.positions[-1], Note(0), None
         given = mixture.given(observations)
         if given is not None:
             flights, distance = mixture_flights(*given, uniform, normal)
-            flights = None if mixture.is_unusual(observations, float(distance)) else flights
+            flights = None if mixture.is_unusual(observations, distance) else flights
         if flights is None:
             flights, note = fading_flights(observations, offsets, normal), Note.PREDICTOR_FALLBACK
         return flights_proposal(config, room, newest, flights, note, fastest_seen(observations, config))
@@ -99,21 +96,21 @@ def even_randoms(normals: int = MODES) -> tuple[Float[np.ndarray, "p"], Float[np
     return points[:, 0], ndtri(points[:, 1:])
 
 
-@jax.jit
 def mixture_flights(
-    model: ConditionalMixture, seen: Float[Array, "p"], uniform: Float[Array, "n"], normal: Float[Array, "n r"]
-) -> tuple[Float[Array, "n s 3"], Float[Array, ""]]:
-    """Particles [m, world] from a mixture given what was seen, and how unusual that is (as ``condition``).
+    model: ConditionalMixture,
+    seen: Float[np.ndarray, "p"],
+    uniform: Float[np.ndarray, "n"],
+    normal: Float[np.ndarray, "n r"],
+) -> tuple[Float[np.ndarray, "n s 3"], float]:
+    """Particles [m, world] from a mixture given what was seen, and how unusual that is (as ``condition``; host).
 
     Args:
+        model: in NumPy.
         seen: the newest position [m, world], and behind it what is observed.
         uniform, normal: numbers in [0, 1) that choose the components, and standard normal ones.
     """
-    log_weights, means, distance = condition(model, seen[3:])
-    shares = jnp.tril(jnp.ones((len(log_weights), len(log_weights)))) @ jnp.exp(log_weights)
-    component = (uniform[:, None] * shares[-1] >= shares[None, :-1]).sum(axis=-1)
-    apart = (normal[:, :, None] * jnp.asarray(model.modes)[component]).sum(axis=1)
-    return seen[None, None, :3] + jnp.moveaxis(means, 2, 0)[component] + apart.reshape(len(normal), -1, 3), distance
+    given = conditioned(model, seen[3:])
+    return flights_of(model, given, seen[:3], uniform, normal), given.distance
 
 
 def fading_flights(

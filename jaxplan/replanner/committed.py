@@ -14,11 +14,16 @@ TIE = 1e-9
 """s; a plan is in force so much before its takeover: times are sums, and a cycle that begins then looks at it."""
 
 
+ASKED = 8
+"""Instants whose states are remembered (arbitrary: a cycle asks for two)."""
+
+
 class CommittedPlans:
     """Begins with one plan; one that is added takes over at its ``start_time``."""
 
     def __init__(self, first: CommittedPlan) -> None:
         self.plans: list[CommittedPlan] = [first]
+        self._asked: dict[float, FlatState] = {}
 
     @property
     def newest(self) -> CommittedPlan:
@@ -27,6 +32,7 @@ class CommittedPlans:
 
     def add(self, plan: CommittedPlan) -> None:
         """It takes over no earlier than the newest one."""
+        self._asked.clear()
         self.plans.append(plan)
 
     def turn(self, time: float, heading: float) -> None:
@@ -44,10 +50,12 @@ class CommittedPlans:
         """Take back the newest plan, which nobody has flown."""
         if len(self.plans) < 2:
             raise InputError("replanner: there is no plan to withdraw, but the first one; want one that was committed")
+        self._asked.clear()
         self.plans.pop()
 
     def forget(self, before: float) -> None:
         """Drop the plans that were flown before this instant [s] only."""
+        self._asked.clear()
         flown = sum(plan.start_time <= before for plan in self.plans) - 1
         del self.plans[: max(flown, 0)]
 
@@ -56,17 +64,31 @@ class CommittedPlans:
         times = np.asarray(times, dtype=float)
         starts = np.array([plan.start_time for plan in self.plans])
         active = np.searchsorted(starts, times + TIE, side="right") - 1
+        if len(active) and (active == active[0]).all():
+            return _along(self.plans[active[0]], times)
         derivatives, yaw = np.empty((len(times), 5, 3)), np.empty((len(times), 3))
         for index in np.unique(active):
-            plan, mine = self.plans[index], active == index
-            states = sampled(plan.spline, times[mine] - plan.start_time)
-            derivatives[mine], yaw[mine] = states.derivatives[0], states.yaw[0]
+            mine = active == index
+            states = _along(self.plans[index], times[mine])
+            derivatives[mine], yaw[mine] = states.derivatives, states.yaw
         return FlatState(derivatives=derivatives, yaw=yaw)
 
     def at(self, time: float) -> FlatState:
-        """The commanded flat state at one instant [s]."""
-        states = self.reference(np.array([time]))
-        return FlatState(derivatives=states.derivatives[0], yaw=states.yaw[0])
+        """The commanded flat state at one instant [s]; a cycle asks for the same ones again."""
+        found = self._asked.get(time)
+        if found is None:
+            states = self.reference(np.array([time]))
+            found = FlatState(derivatives=states.derivatives[0], yaw=states.yaw[0])
+            if len(self._asked) >= ASKED:
+                self._asked.clear()
+            self._asked[time] = found
+        return found
+
+
+def _along(plan: CommittedPlan, times: Float[np.ndarray, "n"]) -> FlatState:
+    """Flat states of one plan at ``times`` [s]."""
+    states = sampled(plan.spline, times - plan.start_time)
+    return FlatState(derivatives=states.derivatives[0], yaw=states.yaw[0])
 
 
 def hold(state: FlatState) -> CommittedPlan:

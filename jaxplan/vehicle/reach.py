@@ -24,6 +24,15 @@ def reach(vehicle: Vehicle, speed: Float[AnyArray, ""], times: Float[AnyArray, "
     return jnp.log1p(grown) / drag
 
 
+def farthest(vehicle: Vehicle, speed: float, times: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+    """``reach`` on the host, in NumPy."""
+    most = float(np.asarray(most_thrust(vehicle))) + float(vehicle.gravity)
+    drag = max(float(vehicle.drag_coefficient) / float(vehicle.mass), 1e-9)
+    rate = np.sqrt(most * drag) * np.maximum(times, 0.0)
+    grown = 2.0 * np.sinh(0.5 * rate) ** 2 + speed * np.sqrt(drag / most) * np.sinh(rate)
+    return np.asarray(np.log1p(grown) / drag)
+
+
 SPARED = 0.26
 """Share of the acceleration that there is beside hovering that a profile of speeds asks for (arbitrary)."""
 MOST_SIDEWAYS = 10.0

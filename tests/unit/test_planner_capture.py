@@ -177,6 +177,19 @@ def test_goals_are_ordered_by_the_flights_straight_to_them_before_there_are_traj
     assert sooner[0] == pytest.approx(0.54, **relative("formula"))
 
 
+def test_a_straight_flight_is_worth_what_its_way_is() -> None:
+    rng, prospect = np.random.default_rng(5), prospect_of(wandering(np.random.default_rng(4), 40), CaptureConfig())
+    position, velocity = rng.normal(size=(2, 3))
+    goals, times = rng.normal(scale=2.0, size=(30, 3)), rng.uniform(-0.1, 2.0, 30)
+    state = FlatState(derivatives=np.concatenate([[position, velocity], np.zeros((3, 3))]), yaw=np.zeros(3))
+    found = straight_capture_times(prospect, state, goals, times)
+    for k in range(30):
+        whole = max(times[k], STEP)
+        since = np.minimum(prospect.times, whole + 2.0 * STEP)[:, None]
+        way = position + since * velocity + (since / whole) ** 2 * (goals[k] - position - velocity * whole)
+        assert found[k] == pytest.approx(by_loops(prospect, way), **relative("formula"))
+
+
 @pytest.mark.usefixtures("x64")
 def test_positions_of_a_batch_are_those_of_each_spline() -> None:
     rng = np.random.default_rng(3)

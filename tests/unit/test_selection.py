@@ -8,14 +8,14 @@ import pytest
 from jaxplan.errors import InputError
 from jaxplan.minsnap.spline_batch import fit
 from jaxplan.records import replace
-from jaxplan.selection import CheckConfig, check, check_clearance, select
+from jaxplan.selection import CheckConfig, _running_sums, check, check_clearance, select
 from jaxplan.spline import hover
 from jaxplan.status import Reason
 from jaxplan.vehicle.flatness import differential_flatness
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.clearance import free_distance
 from jaxplan.world.obstacles import Cylinders, World, aligned_boxes, make_obstacles
-from tolerances import tolerance
+from tolerances import assert_close, tolerance
 
 WIDTH = 24
 
@@ -187,3 +187,10 @@ def test_configuration_is_checked():
     ):
         with pytest.raises(InputError, match=f"^checks: {next(iter(wrong))} is "):
             CheckConfig(**wrong)
+
+
+@pytest.mark.usefixtures("x64")
+def test_running_sums_are_those_of_numpy() -> None:
+    steps = np.random.default_rng(0).random((5, 16, 7))
+    found = _running_sums(jnp.asarray(steps)).reshape(-1, 7)
+    assert_close(found, np.cumsum(steps.reshape(-1, 7), axis=0), "exact")

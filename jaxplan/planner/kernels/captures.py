@@ -10,30 +10,64 @@ from jaxtyping import Float
 from jaxplan.planner.kernels.compiled import entry_point, inner, source_digest
 
 
-def expected_times(
+def spline_times(
     times: Float[np.ndarray, "u"],
     motions: Float[np.ndarray, "u n 3"],
     weights: Float[np.ndarray, "n"],
     reach: Float[np.ndarray, "u"],
-    ways: Float[np.ndarray, "u 3 k"],
+    durations: Float[np.ndarray, "k m"],
+    position: Float[np.ndarray, "k m q 3"],
+    since: float,
     return_speed: float,
 ) -> Float[np.ndarray, "k"]:
-    """Expected seconds until capture along each of k ways.
+    """Expected seconds until capture along each of k trajectories, at rest where they end.
 
     Args:
         times: even instants [s].
         motions: of n futures [m, world].
         weights: of the futures; those without are not looked at.
         reach: how far from a way [m] a future is captured at each instant; not negative.
-        ways: positions of the plans [m, world].
+        durations: of the trajectories' segments [s]; 0 behind the last one.
+        position: ascending coefficients in normalised time [m, world].
+        since: when the trajectories begin to count [s of their own time].
         return_speed: at which what is missed at the end is counted [m/s].
     """
     some = np.flatnonzero(weights)
     futures = np.ascontiguousarray(np.moveaxis(np.asarray(motions, float)[:, some], 1, 0))
-    rows = np.ascontiguousarray(np.moveaxis(np.asarray(ways, float), 2, 0))
-    expected, shares = np.zeros(len(rows)), np.ascontiguousarray(weights[some], float)
-    at, far = np.array(times, float), np.array(reach, float)  # writable, whatever they were: one program
-    _compiled()(at, futures, shares, far, rows, float(return_speed), expected)
+    expected, way = np.zeros(len(durations)), np.zeros((len(times), 3))
+    shares = np.ascontiguousarray(weights[some], float)
+    at, far, parts, terms = (np.array(numbers, float, order="C") for numbers in (times, reach, durations, position))
+    _compiled()(at, futures, shares, far, parts, terms, (float(since), float(return_speed)), way, expected)
+    return expected
+
+
+def straight_times(
+    times: Float[np.ndarray, "u"],
+    motions: Float[np.ndarray, "u n 3"],
+    weights: Float[np.ndarray, "n"],
+    reach: Float[np.ndarray, "u"],
+    start: Float[np.ndarray, "2 3"],
+    goals: Float[np.ndarray, "k 3"],
+    arrival: Float[np.ndarray, "k"],
+    behind: float,
+    return_speed: float,
+) -> Float[np.ndarray, "k"]:
+    """The same along flights straight to goals, at a constant acceleration each.
+
+    Args:
+        times, motions, weights, reach, return_speed: as of ``spline_times``.
+        start: position [m, world] and velocity [m/s].
+        goals: [m, world].
+        arrival: when each is reached [s]; positive.
+        behind: how long flights go on behind their goals [s].
+    """
+    some = np.flatnonzero(weights)
+    motions = np.asarray(motions, float)[:, some]
+    futures = np.ascontiguousarray(np.moveaxis(motions, 1, 0)), np.ascontiguousarray(np.moveaxis(motions, 2, 1))
+    expected, shares = np.zeros(len(goals)), np.ascontiguousarray(weights[some], float)
+    at, far, begin, ends, when = (np.array(part, float, order="C") for part in (times, reach, start, goals, arrival))
+    scratch = np.zeros((len(times), 3)), np.zeros(len(some), np.int64)
+    _compiled_straight()(at, futures, shares, far, begin, ends, when, (behind, float(return_speed)), scratch, expected)
     return expected
 
 
@@ -45,11 +79,13 @@ class _Expected(Protocol):
         futures: np.ndarray,
         weights: np.ndarray,
         reach: np.ndarray,
-        ways: np.ndarray,
-        return_speed: float,
+        durations: np.ndarray,
+        position: np.ndarray,
+        settings: tuple[float, float],
+        way: np.ndarray,
         expected: np.ndarray,
     ) -> None:
-        """Adds to the expected times, which are zeros."""
+        """Adds to the expected times, which are zeros; ``way`` is overwritten."""
 
 
 @functools.cache
@@ -58,30 +94,116 @@ def _compiled() -> _Expected:
 
     @entry_point
     @no_type_check
-    def entry(times, futures, weights, reach, ways, return_speed, expected):
+    def entry(times, futures, weights, reach, durations, position, settings, way, expected):
         _ = version
-        for k in range(len(ways)):
+        since, return_speed = settings
+        for k in range(len(durations)):
+            for u in range(len(times)):
+                _write(durations[k], position[k], since + times[u], way[u])
             for n in range(len(futures)):
-                expected[k] += weights[n] * _captured(times, futures[n], reach, ways[k], return_speed)
+                expected[k] += weights[n] * _captured(times, futures[n], reach, way, return_speed)
 
     return entry  # type: ignore[no-any-return]
 
 
 @inner
 @no_type_check
+def _write(durations, position, time, place):
+    """Write where a trajectory is [m, world] at one of its times [s], at its ends before and behind."""
+    begun, segment = 0.0, 0
+    while segment + 1 < len(durations) and durations[segment + 1] > 0.0 and time >= begun + durations[segment]:
+        begun += durations[segment]
+        segment += 1
+    duration = durations[segment] if durations[segment] > 0.0 else 1.0
+    share = min(max((time - begun) / duration, 0.0), 1.0)
+    terms = position[segment]
+    for axis in range(3):
+        found = terms[len(terms) - 1, axis]
+        for power in range(len(terms) - 2, -1, -1):
+            found = found * share + terms[power, axis]
+        place[axis] = found
+
+
+@runtime_checkable
+class _Straight(Protocol):
+    def __call__(
+        self,
+        times: np.ndarray,
+        futures: tuple[np.ndarray, np.ndarray],
+        weights: np.ndarray,
+        reach: np.ndarray,
+        start: np.ndarray,
+        goals: np.ndarray,
+        arrival: np.ndarray,
+        settings: tuple[float, float],
+        scratch: tuple[np.ndarray, np.ndarray],
+        expected: np.ndarray,
+    ) -> None:
+        """Write the expected times; the futures are there (n, u, 3) and (u, 3, n). ``scratch`` is overwritten."""
+
+
+@functools.cache
+def _compiled_straight() -> _Straight:
+    version = source_digest()
+
+    @entry_point
+    @no_type_check
+    def entry(times, futures, weights, reach, start, goals, arrival, settings, scratch, expected):
+        _ = version
+        behind, return_speed = settings
+        way, first = scratch
+        for k in range(len(goals)):
+            for u in range(len(times)):
+                since = min(times[u], arrival[k] + behind)
+                share = since / arrival[k]
+                for axis in range(3):
+                    missed = goals[k, axis] - start[0, axis] - start[1, axis] * arrival[k]
+                    way[u, axis] = start[0, axis] + since * start[1, axis] + share * share * missed
+            for n in range(len(first)):
+                first[n] = len(way)
+            for u in range(len(way) - 1, -1, -1):
+                _mark_within(futures[1][u], reach[u], way[u], u, first)
+            for n in range(len(weights)):
+                expected[k] += weights[n] * _captured_at(times, futures[0][n], reach, way, first[n], return_speed)
+
+    return entry  # type: ignore[no-any-return]
+
+
+@inner
+@no_type_check
+def _mark_within(futures, reach, place, u, first):
+    """Write the instant ``u`` for all futures that are within reach then: many at a time."""
+    x, y, z, far = place[0], place[1], place[2], reach * reach
+    along, across, up = futures[0], futures[1], futures[2]
+    for n in range(len(first)):
+        a, b, c = along[n] - x, across[n] - y, up[n] - z
+        if a * a + b * b + c * c <= far:  # a conditional expression is not made one for many at a time
+            first[n] = u
+
+
+@inner
+@no_type_check
 def _captured(times, future, reach, way, return_speed):
-    """When one future is captured: within an instant and the next, as their distances say, or after the last [s]."""
+    """When one future is captured [s]."""
     for u in range(len(times)):
-        apart = _squared(future, way, u)
-        if apart <= reach[u] * reach[u]:
-            if u == 0:
-                return max(times[0], 0.0)
-            before = math.sqrt(_squared(future, way, u - 1)) - reach[u - 1]
-            there = math.sqrt(apart) - reach[u]
-            share = before / max(before - there, 1e-9)
-            return max(times[u] - (times[1] - times[0]) * (1.0 - share), 0.0)
+        if _squared(future, way, u) <= reach[u] * reach[u]:
+            return _captured_at(times, future, reach, way, u, return_speed)
+    return _captured_at(times, future, reach, way, len(times), return_speed)
+
+
+@inner
+@no_type_check
+def _captured_at(times, future, reach, way, first, return_speed):
+    """When one future is captured: between the ``first`` instant and the one before, or after the last [s]."""
     last = len(times) - 1
-    return times[last] + (math.sqrt(_squared(future, way, last)) - reach[last]) / return_speed
+    if first > last:
+        return times[last] + (math.sqrt(_squared(future, way, last)) - reach[last]) / return_speed
+    if first == 0:
+        return max(times[0], 0.0)
+    before = math.sqrt(_squared(future, way, first - 1)) - reach[first - 1]
+    there = math.sqrt(_squared(future, way, first)) - reach[first]
+    share = before / max(before - there, 1e-9)
+    return max(times[first] - (times[1] - times[0]) * (1.0 - share), 0.0)
 
 
 @inner
