@@ -23,6 +23,8 @@ TimeUnit = Literal["s", "ms", "us", "ns"]
 TIME_UNITS: tuple[TimeUnit, ...] = get_args(TimeUnit)
 Frame = Literal["enu", "ned"]
 FRAMES: tuple[Frame, ...] = get_args(Frame)
+PlaceFor = Literal["chosen", "all"]
+PLACINGS: tuple[PlaceFor, ...] = get_args(PlaceFor)
 Allocate = Literal["policy", "profile", "both"]
 ALLOCATIONS: tuple[Allocate, ...] = get_args(Allocate)
 Selection = Literal["capture", "paper"]
@@ -109,6 +111,10 @@ class InterceptConfig:
     """A policy that places waypoints and times (the shipped fleet, or a .npz, see jaxplan train placing), from which
     --refine goes on where that is the better start. Default: --refine goes on from the plan that was chosen."""
 
+    place: PlaceFor = "chosen"
+    """For whom --placing places: for the chosen plan, whose refinement then has a second start, or for all candidates,
+    too, before anybody allots times alone: sooner, and longer in each cycle."""
+
     selection: Selection = "capture"
     """What plans are compared by: capture is the expected time until one captures the target, with --meet pass where
     the predictor knows its motions as a whole (particles, imm, fused); paper is eq. 9 of the paper, as for others."""
@@ -175,6 +181,9 @@ class InterceptConfig:
         if self.refine and not self._refinable:
             have = f"--meet {self.meet} and --heading {self.heading}"
             raise InputError(f"--refine: have {have}, want --meet pass and --heading hold")
+        _require_choice("place", self.place, PLACINGS)
+        if self.place == "all" and self.placing is None:
+            raise InputError("--place: have all and no policy to place by, want --placing, such as --placing fleet")
         if self.placing is not None and not self.refines:
             raise InputError(f"--placing: have {self.placing!r} and plans that are not refined, want --refine or none")
 

@@ -178,7 +178,7 @@ def with_a_planner(config: InterceptConfig, vehicle: Vehicle) -> InterceptConfig
 def planner_config(config: InterceptConfig, exhaustive: bool = False) -> PlannerConfig:
     """What a configuration asks of the planner; one that stops at the target is no faster than its policy says."""
     usual = PlannerConfig(exhaustive=exhaustive, meet=config.meet, heading=config.heading, padding=config.padding)
-    usual = dataclasses.replace(usual, selection=config.selection, resolution=config.resolution)
+    usual = dataclasses.replace(usual, selection=config.selection, resolution=config.resolution, place=config.place)
     alone = config.planner == "no-policy" or config.meet == "rest"
     usual = dataclasses.replace(usual, allocate=config.allocate or ("policy" if alone else "both"))
     if config.planner == "no-policy" and usual.allocate == "profile" and config.meet != "rest":

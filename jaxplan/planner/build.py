@@ -25,7 +25,8 @@ from jaxplan.planner.brake import brake, impact
 from jaxplan.planner.capture import prospect_of
 from jaxplan.planner.corrections import correct
 from jaxplan.planner.descent import build_descent
-from jaxplan.planner.parts import Parts, Placing
+from jaxplan.planner.parts import Allocation, Parts, Placing
+from jaxplan.planner.placed import build_match_placed
 from jaxplan.planner.records import (
     Approach,
     Brake,
@@ -106,11 +107,12 @@ def build_planner(
         vehicle: whose limits and radius the checks keep.
         policy: allocates the times between waypoints.
         classifier: decides which trajectories the vehicle can follow; without one the rotor limits do.
-        placing: where refinements begin; without one at the plans that were chosen.
+        placing: where refinements begin, or what all candidates are asked of, too (``PlannerConfig.place``); without
+            one refinements begin at the plans that were chosen.
 
     Raises:
         InputError: world, vehicle or policy are something else, policy or classifier were made for another vehicle, or
-            refined plans have other segments than a placing policy's.
+            refined plans have other segments than a placing policy's, or there is none for all candidates.
     """
     require_made_by("build_planner: world", world, World, "load_world")
     require_made_by("build_planner: vehicle", vehicle, Vehicle, "load_vehicle")
@@ -118,6 +120,8 @@ def build_planner(
     require_same_vehicle(f"policy {policy.name!r}", policy.vehicle, vehicle)
     require_same_vehicle("classifier", None if classifier is None else classifier.vehicle, vehicle)
     config = config or PlannerConfig()
+    if config.place == "all" and placing is None:
+        raise InputError("build_planner: have place 'all' and no placing policy, want placing=load_placing(...)")
     least = min(config.padding, float(vehicle.radius) + config.checks.tracking_margin)
     factors = (1,) if config.search == "roadmap" else (1, 2, 5, 10)
     options = SearchConfig(
@@ -131,17 +135,18 @@ def build_planner(
     lattices = build_lattices(world, options)
     stations = compile_stations(config, vehicle, policy, classifier)
     descend = None if config.refinement is None else build_descent(config.refinement, vehicle)
-    begin = None if config.refinement is None or placing is None else _compiled(placing, config.refinement, vehicle)
+    begin = None if placing is None else _compiled(placing, config, vehicle)
     flyer = None if config.rollouts is None else build_flyer(config.rollouts, vehicle)
     room = _room(lattices, world)
     return _planner(Parts(config, stations, lattices, _on_device(world), room, vehicle, descend, begin, flyer))
 
 
-def _compiled(placing: Place, config: RefinementConfig, vehicle: Vehicle) -> Placing:
-    """The policy for a refinement's starts."""
-    if config.segments != SEGMENTS:
-        raise InputError(f"refinement: have {config.segments} segments, want {SEGMENTS} for a placing policy, or none")
-    return Placing(jax.jit(placing), vehicle_numbers(vehicle))
+def _compiled(placing: Place, config: PlannerConfig, vehicle: Vehicle) -> Placing:
+    """The policy for a refinement's starts, and for all candidates."""
+    segments = RefinementConfig().segments if config.refinement is None else config.refinement.segments
+    if segments != SEGMENTS:
+        raise InputError(f"refinement: have {segments} segments, want {SEGMENTS} for a placing policy, or none")
+    return Placing(jax.jit(placing), vehicle_numbers(vehicle), build_match_placed(placing, config.arrival))
 
 
 def _planner(parts: Parts) -> Planner:
@@ -267,13 +272,14 @@ def _until_one_passes(parts: Parts, state: FlatState, table: Table, timer: Timer
     """
     width, exhaustive = parts.config.width, parts.config.exhaustive
     rows = table.usable() if exhaustive else table.best_first()
-    waiting, size = rows[:0], len(rows) if exhaustive else PORTION * width
+    waiting, size, asked = rows[:0], len(rows) if exhaustive else PORTION * width, parts.tried(state)
     while len(rows):
         some, rows = rows[:size], rows[size:]
         table = _bounded(parts, state, table, some, timer)
         waiting = np.concatenate([waiting, some[table.reasons[some] == 0]])
         while len(waiting) >= (width if len(rows) else 1):
-            table, passed = _round(parts, state, table, waiting[:width], timer)
+            table, passed = _round(parts, state, table, waiting[:width], timer, asked)
+            asked = parts.allocations(state)
             waiting, rounds = waiting[width:], rounds - 1
             if not exhaustive and (passed or timer.is_up or rounds == 0):
                 return outrank(table, np.concatenate([waiting, rows]))
@@ -289,10 +295,12 @@ def _bounded(parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Ti
     return table
 
 
-def _round(parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Timer) -> tuple[Table, bool]:
+def _round(
+    parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Timer, asked: tuple[Allocation, ...]
+) -> tuple[Table, bool]:
     """Ask the time allocations in turn, each for the rows that can still win; whether one of them did."""
     passed = False
-    for allocation in parts.allocations(state):
+    for allocation in asked:
         matched = match(parts, allocation, state, table, rows)
         timer.lap("policy", matched.arrival)
         checked = check(parts, state, table, matched)

@@ -15,6 +15,7 @@ from jaxplan.planner.capture import Prospect, straight_capture_times
 from jaxplan.planner.descent import Descend
 from jaxplan.planner.kernels.goals import reasons_against
 from jaxplan.planner.kernels.routes import place_waypoints
+from jaxplan.planner.placed import MatchPlaced
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.planner.rollouts import Flyer
 from jaxplan.planner.stations import Match, Routes, Stations, Trajectories
@@ -54,13 +55,18 @@ class Allocation(NamedTuple):
     match: Match
     least_probability: float
     """Of being tracked, where a classifier decides."""
+    placed: MatchPlaced | None = None
+    """Who places the waypoints, too: then ``match`` is not asked."""
 
 
 class Placing(NamedTuple):
     """The placing policy, compiled, and what it must know of the vehicle."""
 
     place: Place
+    """For the starts of a refinement."""
     numbers: Float[np.ndarray, "6"]
+    match: MatchPlaced
+    """For all candidates."""
 
 
 class Parts(NamedTuple):
@@ -188,6 +194,13 @@ class Parts(NamedTuple):
             return (profile, policy) if slow else (profile,)
         return (profile,) if asked == "profile" else (policy,)
 
+    def tried(self, state: FlatState) -> tuple[Allocation, ...]:
+        """The same before whom stands who places waypoints, where that is asked for all candidates."""
+        asked = self.allocations(state)
+        if self.placing is None or self.config.place != "all":
+            return asked
+        return (asked[0]._replace(placed=self.placing.match), *asked)
+
     def durations_at(
         self, allocation: Allocation, state: FlatState, routes: Routes, alpha: Float[np.ndarray, "k"]
     ) -> Float[np.ndarray, "m k"]:
@@ -212,6 +225,9 @@ class Parts(NamedTuple):
     ) -> Trajectories:
         """Solved and checked trajectories, as many as the stations take, of which the first ``count`` are wanted."""
         solved = self.stations.solve(state, routes, durations, target, allocation.least_probability)
+        if allocation.placed is not None:  # its waypoints are where no path leads
+            reasons = np.asarray(solved.margins.reasons) & ~np.uint32(Reason.DEVIATION)
+            solved = Trajectories(solved.splines, replace(solved.margins, reasons=reasons))
         return self.clear(solved, np.flatnonzero(np.asarray(solved.margins.reasons)[:count] == 0))
 
     def check_all(

@@ -8,7 +8,18 @@ import numpy as np
 from jaxtyping import Float, Int, UInt32
 
 from jaxplan.arrival import ArrivalConfig
-from jaxplan.config import ALLOCATIONS, HEADINGS, MEETINGS, SELECTIONS, Allocate, Heading, Meet, Selection
+from jaxplan.config import (
+    ALLOCATIONS,
+    HEADINGS,
+    MEETINGS,
+    PLACINGS,
+    SELECTIONS,
+    Allocate,
+    Heading,
+    Meet,
+    PlaceFor,
+    Selection,
+)
 from jaxplan.errors import InputError
 from jaxplan.knots import KnotConfig
 from jaxplan.minsnap.spline_batch import SplineBatch
@@ -67,6 +78,10 @@ class PlannerConfig:
     """Average yaw rate [rad/s] that a segment may ask for (docs/decisions/0010-yaw-rate.md)."""
     allocate: Allocate = "both"
     """Who allots the times: the "policy" (the paper), the "profile" of speeds along the path, or "both" in turn."""
+    place: PlaceFor = "chosen"
+    """For whom a placing policy, where there is one, places waypoints and times: for the "chosen" plan, whose
+    refinement then has a second start, or besides for "all" candidates of a cycle's first round, before anybody allots
+    times alone (docs/decisions/0052)."""
     policy_speed: float = 4.0
     """Fastest start [m/s] from which the policy is asked where the profile is there too (docs/decisions/0022)."""
     profile_probability: float = 0.8
@@ -115,6 +130,7 @@ class PlannerConfig:
         require_one_of("planner", self, MEETINGS, "meet")
         require_one_of("planner", self, HEADINGS, "heading")
         require_one_of("planner", self, ALLOCATIONS, "allocate")
+        require_one_of("planner", self, PLACINGS, "place")
         require_one_of("planner", self, SELECTIONS, "selection")
         if self.refinement is not None and (self.meet, self.heading) != ("pass", "hold"):
             have = f"meet {self.meet!r} and heading {self.heading!r}"

@@ -96,7 +96,8 @@ def _asked(
     radius = expected.meet_radius(seed.meeting, config)
     starts = [seed_start(seed, expected.at(seed.meeting) + offset, radius, config.segments)]
     if parts.placing is not None:
-        starts.append(placed_start(*parts.placing, parts.room, state, seed, expected, offset, radius))
+        place, numbers, _ = parts.placing
+        starts.append(placed_start(place, numbers, parts.room, state, seed, expected, offset, radius))
     return _Asked(expected, offset, radius, np.concatenate([flatten(start).T for start in starts]))
 
 

@@ -14,6 +14,7 @@ from jaxplan.arrival import Arrival, time_to
 from jaxplan.batching import fill, join, pick
 from jaxplan.planner.capture import Prospect, capture_times
 from jaxplan.planner.parts import Allocation, Parts
+from jaxplan.planner.placed import courses_along, meet_radii
 from jaxplan.planner.records import Plans
 from jaxplan.planner.stations import Routes, Trajectories, lengthened, no_trajectories, shortened
 from jaxplan.prediction.candidates import Candidates, target_velocities
@@ -26,6 +27,10 @@ Rows = Int[np.ndarray, "n"]
 
 SLOWEST_MEETING = 0.3
 """m/s; a target that is slower counts as one at rest: it can be met without a stop point behind it (arbitrary)."""
+
+
+PLACED_SOONER = 0.6
+"""A plan whose waypoints are placed, too, takes this share of the first allocation's least time (arbitrary)."""
 
 
 class Matched(NamedTuple):
@@ -175,7 +180,8 @@ def bound(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
     times[len(rows) :][paths.reasons[len(rows) :] != 0] = np.inf
     soonest = np.argmin(times.reshape(-1, len(rows)), axis=0) * len(rows) + np.arange(len(rows))
     alpha[rows] = least * table.arrival_times(rows) / times[soonest]
-    late = ~(alpha[rows] >= least * (1.0 - parts.config.arrival.tolerance))
+    sooner = PLACED_SOONER if parts.tried(state)[0].placed is not None else 1.0
+    late = ~(alpha[rows] >= sooner * least * (1.0 - parts.config.arrival.tolerance))
     route[rows] = begin + soonest
     reasons = np.where(late, Reason.ALPHA_LT_1, 0).astype(np.uint32)
     return table.against(rows, reasons)._replace(alpha=alpha, route=route)
@@ -184,9 +190,14 @@ def bound(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
 def match(parts: Parts, allocation: Allocation, state: FlatState, table: Table, rows: Rows) -> Matched:
     """Slow at most ``width`` rows down until each arrives at T_goal."""
     padded = fill(rows, parts.config.width)
-    routes = shortened(pick(table.routes, table.route[padded]))
+    routes, times = shortened(pick(table.routes, table.route[padded])), table.arrival_times(padded)
+    if allocation.placed is not None and parts.placing is not None:
+        radius = meet_radii(table.candidates, times, parts.config.refinement)
+        courses, routes = courses_along(routes, parts.room, radius, parts.placing.numbers)
+        arrival, points = allocation.placed(state, courses, times)
+        return Matched(allocation, rows, routes._replace(waypoints=np.asarray(points)), arrival)
     least = np.full(len(padded), parts.config.arrival.least_alpha)
-    return Matched(allocation, rows, routes, allocation.match(state, routes, table.arrival_times(padded), least))
+    return Matched(allocation, rows, routes, allocation.match(state, routes, times, least))
 
 
 def check(parts: Parts, state: FlatState, table: Table, matched: Matched) -> Checked:

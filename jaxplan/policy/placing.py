@@ -9,6 +9,8 @@ that turned and mirrored courses get turned and mirrored answers by construction
 around it (distances and their slopes), the state, how near the target must be passed, and the vehicle in numbers.
 """
 
+import dataclasses
+import functools
 from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
 import jax.numpy as jnp
@@ -17,9 +19,16 @@ from jaxtyping import Array, Float
 
 from jaxplan.arrays import AnyArray
 from jaxplan.numerics import safe_divide, safe_norm
-from jaxplan.policy.features import SEGMENT_FEATURES, STATE_FEATURES, segment_features, sequence_frame, state_features
+from jaxplan.policy.features import (
+    SEGMENT_FEATURES,
+    STATE_FEATURES,
+    Frame,
+    segment_features,
+    sequence_frame,
+    state_features,
+)
 from jaxplan.policy.features import turned as turned_by
-from jaxplan.policy.network import NetworkConfig, PolicyNetwork
+from jaxplan.policy.network import Memory, NetworkConfig, PolicyNetwork
 from jaxplan.spline import FlatStateBatch
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.report import angular_accelerations, thrust_to_weight
@@ -78,6 +87,22 @@ class Place(Protocol):
 
 
 @runtime_checkable
+class PlaceAgain(Protocol):
+    """The same courses from other initial states."""
+
+    def __call__(self, initial: FlatStateBatch, /) -> Placed:
+        """As ``Place`` (traced)."""
+
+
+@runtime_checkable
+class PlaceOften(Place, Protocol):
+    """A placing policy that reads its courses once."""
+
+    def along(self, courses: Courses, initial: FlatStateBatch) -> PlaceAgain:
+        """From states like ``initial``, sped up or slowed down (traced)."""
+
+
+@runtime_checkable
 class Distance(Protocol):
     """Distance to all that is solid."""
 
@@ -103,6 +128,20 @@ class _Own(NamedTuple):
     def _mirrored(self, vectors: Float[Array, "*a 3 k"]) -> Float[Array, "*a 3 k"]:
         one = jnp.ones_like(self.side)
         return vectors * jnp.expand_dims(jnp.stack([one, self.side, one]), tuple(range(vectors.ndim - 2)))
+
+
+class CoursesRead(NamedTuple):
+    """k courses as the decoder needs them."""
+
+    start: Float[Array, "1 3 k"]
+    """Their first points [m, world]."""
+    points: Float[Array, "7 3 k"]
+    """All of them, from there."""
+    own: _Own
+    frame: Frame
+    memory: Memory
+    radius: Float[Array, "k"]
+    numbers: Float[Array, "6 k"]
 
 
 def vehicle_numbers(vehicle: Vehicle) -> Float[np.ndarray, "6"]:
@@ -134,44 +173,68 @@ def look_around(distance: Distance, points: Float[AnyArray, "7 3 k"]) -> Float[A
     return xp.concatenate([found[:, :1], (found[:, 1:] - found[:, :1]) / SLOPE_STEP], axis=1)
 
 
-def placing_policy(config: NetworkConfig, parameters: Any) -> Place:
-    """The policy with these weights; it computes in float32 whatever comes in."""
-    network = PolicyNetwork(config, OUTPUTS)
+@dataclasses.dataclass(frozen=True, eq=False)
+class PlacingPolicy:
+    """A network with its weights; it computes in float32 whatever comes in."""
 
-    def place(courses: Courses, initial: FlatStateBatch) -> Placed:
-        return place_waypoints(network, parameters, courses, initial)
+    network: PolicyNetwork
+    parameters: Any
 
-    return place
+    def __call__(self, courses: Courses, initial: FlatStateBatch) -> Placed:
+        """As ``Place``."""
+        return place_waypoints(self.network, self.parameters, courses, initial)
+
+    def along(self, courses: Courses, initial: FlatStateBatch) -> PlaceAgain:
+        """As ``PlaceOften``."""
+        read = read_courses(self.network, self.parameters, courses, initial)
+        return functools.partial(place_from, self.network, self.parameters, read)
+
+
+def placing_policy(config: NetworkConfig, parameters: Any) -> PlacingPolicy:
+    """The policy with these weights."""
+    return PlacingPolicy(PolicyNetwork(config, OUTPUTS), parameters)
 
 
 def place_waypoints(network: PolicyNetwork, parameters: Any, courses: Courses, initial: FlatStateBatch) -> Placed:
     """``Place`` with given weights, differentiable in them; the places have the precision of the courses."""
+    return place_from(network, parameters, read_courses(network, parameters, courses, initial), initial)
+
+
+def read_courses(network: PolicyNetwork, parameters: Any, courses: Courses, initial: FlatStateBatch) -> CoursesRead:
+    """What the network needs to know of courses, from the frames that they have with these initial states."""
     start = jnp.asarray(courses.points)[:1]
     points = (jnp.asarray(courses.points) - start).astype(jnp.float32)
-    derivatives, yaw, room, radius, numbers = (
+    room, radius, numbers, velocity = (
         jnp.asarray(leaf, jnp.float32)
-        for leaf in (initial.derivatives, initial.yaw, courses.room, courses.meet_radius, courses.vehicle)
+        for leaf in (courses.room, courses.meet_radius, courses.vehicle, initial.derivatives[1])
     )
-    own = _own_frame(points, derivatives[1])
+    own = _own_frame(points, velocity)
     seen = own.seen(points)
-    heading = jnp.arctan2(own.sin, own.cos)
-    turns = own.side[None] * jnp.stack([yaw[0] - heading, yaw[1], yaw[2]])
-    state = FlatStateBatch(derivatives=own.seen(derivatives), yaw=turns)
     count = jnp.full(radius.shape, float(SEGMENTS + 1), jnp.float32)
     frame = sequence_frame(seen, count)
     features, real = segment_features(seen, count, frame)
     features = jnp.concatenate([features, _room_features(own, room)], axis=1)
-    whole = jnp.concatenate([state_features(state, frame), jnp.log(radius)[None], numbers])
-    read = network.apply(parameters, features, real, whole)
-    found = cast(Array, read)
-    unit = frame.length / SEGMENTS
-    durations = SHORTEST + frame.nominal[None] * jnp.exp(jnp.clip(found[:, 0], -LOG_RANGE, LOG_RANGE))
+    memory, _ = network.apply(parameters, features, real, method="encode")
+    return CoursesRead(start, points, own, frame, memory, radius, numbers)
+
+
+def place_from(network: PolicyNetwork, parameters: Any, read: CoursesRead, initial: FlatStateBatch) -> Placed:
+    """Durations and places along courses that were read, from any initial states at their first points."""
+    own, points, radius = read.own, read.points, read.radius
+    derivatives, yaw = (jnp.asarray(leaf, jnp.float32) for leaf in (initial.derivatives, initial.yaw))
+    heading = jnp.arctan2(own.sin, own.cos)
+    turns = own.side[None] * jnp.stack([yaw[0] - heading, yaw[1], yaw[2]])
+    state = FlatStateBatch(derivatives=own.seen(derivatives), yaw=turns)
+    whole = jnp.concatenate([state_features(state, read.frame), jnp.log(radius)[None], read.numbers])
+    found = cast(Array, network.apply(parameters, read.memory, whole, method="decode"))
+    unit = read.frame.length / SEGMENTS
+    durations = SHORTEST + read.frame.nominal[None] * jnp.exp(jnp.clip(found[:, 0], -LOG_RANGE, LOG_RANGE))
     moved = own.told(_in_ball(found[:, 1:]))
     inner = points[1:-2] + (INNER_SHARE * unit + INNER_LEAST)[None, None] * moved[:-2]
     meet = points[-2] + radius[None] * moved[-2]
     stop = points[-1] + radius[None] * moved[-2] + STOP_REACH * moved[-1]
     placed = jnp.concatenate([points[:1], inner, meet[None], stop[None]])
-    return Placed(durations, start + placed.astype(start.dtype))
+    return Placed(durations, read.start + placed.astype(read.start.dtype))
 
 
 def start_placing(config: NetworkConfig, key: Array) -> Any:

@@ -41,6 +41,8 @@ BAD: list[dict[str, Any]] = [
     {"heading": "down"},
     {"allocate": "network"},
     {"refine": "often"},
+    {"place": "some"},
+    {"place": "all"},
 ]
 
 
