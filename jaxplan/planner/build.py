@@ -131,6 +131,7 @@ def build_planner(
         padding=config.padding,
         fallback_budget=config.fallback_budget,
         least_padding=least if config.narrow_passages else None,
+        from_faces=least,
     )
     lattices = build_lattices(world, options)
     stations = compile_stations(config, vehicle, policy, classifier)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt32
 
 from jaxplan.errors import InputError
-from jaxplan.records import record, static
+from jaxplan.records import record, replace, static
 from jaxplan.search.components import label_components
 from jaxplan.search.kernels.graph import Frame, Graph, make_frame, permitted_moves
 from jaxplan.search.roadmap import Roadmap
@@ -45,6 +45,9 @@ class SearchConfig:
     """Distance that paths keep from obstacles [m]."""
     least_padding: float | None = None
     """Distance [m] that a roadmap's paths keep where no path keeps the padding; None: there are no such paths."""
+    from_faces: float = 0.0
+    """Distance [m] that paths keep from the faces of a room, where that is more than its ``keep_in``; a room that is
+    too small for that keeps its own."""
     fallback_budget: int | None = None
     """Cells of the finest lattice settled at most for goals that no road leads to (a million take half a second). Where
     that ends the search, goals get the best path known, with ``Note.SEARCH_ENDED``; if it does not reach them, its
@@ -64,7 +67,7 @@ class SearchConfig:
                 f"distance_fractions: have {fractions}, want {len(self.resolutions) - 1} ascending fractions, "
                 "one per resolution but the last"
             )
-        require_at_least("search", self, 0.0, "padding")
+        require_at_least("search", self, 0.0, "padding", "from_faces")
         if self.least_padding is not None and not 0.0 <= self.least_padding <= self.padding:
             raise InputError(
                 f"search: have least_padding {self.least_padding:g} m, want at least 0 and at most the padding, "
@@ -128,13 +131,22 @@ def build_lattices(world: World, config: SearchConfig | None = None) -> Lattices
     Raises ``InputError`` for a room with too many cells, with the resolution that would fit.
     """
     config = SearchConfig() if config is None else config
-    roadmap, padded = None, None
+    world, roadmap, padded = inside_faces(world, config), None, None
     if config.method == "roadmap":
         limits = (config.padding,) if config.least_padding is None else (config.padding, config.least_padding)
         roadmap = load_roadmap(world, config.resolutions[0], limits)
         padded = roadmap.field.values < config.padding
     grids = occupancy_lattices(world, config.resolutions, config.padding, padded)
     return Lattices(levels=tuple(_search_lattice(grid) for grid in grids), roadmap=roadmap, config=config)
+
+
+def inside_faces(world: World, config: SearchConfig) -> World:
+    """The world as paths see it, which keep away from the room's faces by what the configuration says, too."""
+    keep_in = max(float(world.keep_in), config.from_faces)
+    narrowest = float((np.asarray(world.bounds)[1] - np.asarray(world.bounds)[0]).min())
+    if keep_in == float(world.keep_in) or 2.0 * keep_in >= narrowest:
+        return world
+    return replace(world, keep_in=np.asarray(keep_in))
 
 
 def choose_level(lattices: Lattices, distance: float, diagonal: float) -> int:

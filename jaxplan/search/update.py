@@ -13,7 +13,7 @@ from jaxplan.precision import in_float64
 from jaxplan.records import replace
 from jaxplan.search.components import join_components
 from jaxplan.search.kernels.graph import permitted_moves
-from jaxplan.search.lattice import Lattices, SearchLattice
+from jaxplan.search.lattice import Lattices, SearchLattice, inside_faces
 from jaxplan.search.roadmap import update_field, update_roadmap
 from jaxplan.world.obstacles import World
 from jaxplan.world.occupancy import Lattice, coarsen, kept_in, padded_cells
@@ -23,7 +23,7 @@ from jaxplan.world.update import Change
 @in_float64
 def update_lattices(lattices: Lattices, change: Change) -> Lattices:
     """The lattices of a world after ``update_world``; ``lattices`` are those of the world before."""
-    world, lower, upper = change
+    world, lower, upper = inside_faces(change.world, lattices.config), change.lower, change.upper
     finest = lattices.levels[0].grid
     reach = lattices.config.padding + finest.resolution + _shortfall(world)
     factors = [round(level.grid.resolution / finest.resolution) for level in lattices.levels]

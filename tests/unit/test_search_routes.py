@@ -301,3 +301,22 @@ def test_neighbouring_places_see_each_other() -> None:
         assert turn.max() > 0.1
     assert roads.TANGENT < 1.0
     assert np.abs(np.linalg.norm(normals, axis=1) - 1.0).max() < 1e-6
+
+
+def test_ways_keep_as_far_from_the_faces_of_a_room_as_asked() -> None:
+    """A wall with a gap of 0.6 m beside one face and of 1.2 m beside the other, which is the longer way."""
+    obstacles = make_obstacles(boxes=aligned_boxes(np.array([[4.0, 0.6, 0.0]]), np.array([[6.0, 8.8, 2.0]])))
+    bounds = np.array([[0.0, 0.0, 0.0], [10.0, 10.0, 2.0]])
+    world = World(name="gaps", bounds=bounds, obstacles=obstacles, keep_in=np.float64(0.2))
+    start, goal = np.array([2.0, 3.0, 1.0]), np.array([[8.0, 3.0, 1.0]])
+    ways = {}
+    for distance in (0.0, 0.1, 0.4, 1.0):
+        options = SearchConfig(resolutions=(0.1,), distance_fractions=(), padding=0.3, from_faces=distance)
+        ways[distance] = find_routes(build_lattices(world, options), world, start, goal, 6.0)
+        assert ways[distance].reasons[0] == 0
+    np.testing.assert_array_equal(ways[0.0].points, ways[0.1].points)
+    assert ways[0.0].points[0, :, 1].min() < 0.4
+    assert ways[0.4].points[0, :, 1].max() > 9.0
+    apart = np.minimum(ways[0.4].points[0] - bounds[0], bounds[1] - ways[0.4].points[0]).min()
+    assert apart >= 0.4 - 1e-6
+    np.testing.assert_array_equal(ways[1.0].points, ways[0.0].points, err_msg="2 m are too low for 1 m on both sides")
