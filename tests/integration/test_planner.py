@@ -213,7 +213,9 @@ def test_removing_the_obstacles_never_turns_an_accept_into_a_clearance_reject(wo
     )
     plans, crowded = (planner.plan_batch(moving, candidates(36)) for planner in (free, full))
     assert not (plans.reasons & int(Reason.GOAL_OCCUPIED)).any()
-    assert (plans.reasons == 0).sum() >= (crowded.reasons == 0).sum()
+    accepted = crowded.reasons == 0
+    assert accepted.sum() > 3
+    assert not (plans.reasons[accepted] & int(Reason.CLEARANCE)).any(), "ways differ, so others may reject"
 
 
 @pytest.mark.slow
