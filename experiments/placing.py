@@ -1,6 +1,6 @@
 """A policy that places waypoints and times, beside times alone and beside the optimiser, for vehicles it never flew.
 
-    jaxplan experiment placing --preset smoke|small|full [--placing FILE] [--vehicles N] [--workers N] [--resume]
+    jaxplan experiment placing --preset smoke|small|full [--placing FILE] [--vehicles N] [--clutter] [--workers N]
 
 Courses in random rooms that no training has seen, from hover and from flight: what is left of the policy's own plans
 at a random instant, to goals that have moved. Each is planned by the profile of speeds on the course's own points
@@ -32,11 +32,12 @@ from jaxplan.policy.protocol import Policy
 from jaxplan.policy.speed_profile import speed_profile_policy
 from jaxplan.precision import in_float64
 from jaxplan.prediction.candidates import Candidates, candidates_from
+from jaxplan.records import replace
 from jaxplan.runner.definition import Experiment, Item, Row
 from jaxplan.spline import FlatState, FlatStateBatch, PiecewisePolynomial
 from jaxplan.tracking.result import held_error
 from jaxplan.tracking.track import track
-from jaxplan.training.placing.courses import CourseConfig, CourseSet, load_courses, make_courses
+from jaxplan.training.placing.courses import CourseConfig, CourseSet, courses_in, load_courses, make_courses
 from jaxplan.training.placing.problems import Problems, solved
 from jaxplan.training.placing.run import PlacingConfig, build_draw
 from jaxplan.training.placing.vehicles import fleet, random_vehicle
@@ -48,6 +49,7 @@ from jaxplan.weights import resolve_weights
 from jaxplan.world.clearance import clearance
 from jaxplan.world.obstacles import World
 
+from .arena.families import CLUTTER, cluttered_room
 from .placing_report import OPTIMUM, OWN, STARTS, report
 
 SEEDS = 1_000_000
@@ -71,6 +73,10 @@ class Config:
 
     courses: int = 12
     """Of each room, at most 64."""
+
+    clutter: bool = False
+    """Whether rooms are the arena's, where 5 to 12, 12 to 20 and 20 to 35 % of the floor are taken up in turn, and not
+    such as policies are trained in, of which few are as full."""
 
     most: int = 90
     """Steps of the descent that stands for the optimum."""
@@ -136,11 +142,21 @@ def _vehicle(config: Config, number: int | None) -> Vehicle:
 @functools.cache
 def _course_set(config: Config) -> CourseSet:
     """The first courses of the first rooms."""
+    if config.clutter:
+        return _cluttered(config)
     with tempfile.TemporaryDirectory() as folder:
         make_courses(Path(folder), CourseConfig(shards=1, seed=SEEDS + config.seed), report=lambda text: None)
         every = load_courses(Path(folder), held_out=False)
     worlds = jax.tree.map(lambda leaf: leaf[: config.rooms], every.worlds)
     return CourseSet(worlds, every.points[: config.rooms, : config.courses])
+
+
+def _cluttered(config: Config) -> CourseSet:
+    """Rooms of the arena's levels in turn, of as many boxes each."""
+    rooms = [cluttered_room(*CLUTTER[n % len(CLUTTER)], SEEDS + config.seed + n) for n in range(config.rooms)]
+    points = np.stack([courses_in(room, config.seed + n)[: config.courses] for n, room in enumerate(rooms)])
+    nameless = [replace(room, name="", provenance="") for room in rooms]
+    return CourseSet(jax.tree.map(lambda *leaves: np.stack(leaves).astype(np.float32), *nameless), points)
 
 
 @functools.cache

@@ -194,3 +194,15 @@ def test_training_makes_plans_better_and_goes_on_where_it_stopped(folder, tmp_pa
     _, same = train_placing(tmp_path / "run", folder, config, report=lines.append)
     assert same == score
     assert len((tmp_path / "run" / "metrics.jsonl").read_text().splitlines()) == 2
+
+
+def test_courses_lead_through_a_room_of_one_s_own():
+    world = load_world("env1")
+    points = courses_in(world, 3)
+    assert points.shape == (64, 7, 3)
+    assert (clearance(world, points[:, [0, -2, -1]].reshape(-1, 3).astype(float)) > 0.3).all()
+    np.testing.assert_array_equal(points, courses_in(world, 3))
+    assert (points != courses_in(world, 4)).any()
+    solid = replace(world, obstacles=make_obstacles(boxes=aligned_boxes(*(corner[None] for corner in world.bounds))))
+    with pytest.raises(InputError, match="more space"):
+        courses_in(solid, 3)

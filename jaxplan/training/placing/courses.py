@@ -112,6 +112,18 @@ def load_courses(folder: Path, *, held_out: bool) -> CourseSet:
     return CourseSet(stacked, np.concatenate(points))
 
 
+def courses_in(world: World, seed: int) -> Float[np.ndarray, "c 7 3"]:
+    """``IN_ROOM`` courses through a room of one's own, as ``CourseSet.points`` has them.
+
+    Raises:
+        InputError: the room is too full for that many.
+    """
+    found = _courses(open_room(world), np.random.default_rng([seed, 2]))
+    if found is None:
+        raise InputError(f"courses: the room {world.name!r} has fewer than {IN_ROOM}; want one with more space")
+    return found
+
+
 def read_course_config(folder: Path) -> CourseConfig:
     """What the courses in ``folder`` were made with."""
     stated = folder / "config.json"
