@@ -154,7 +154,7 @@ def _course_set(config: Config) -> CourseSet:
 def _cluttered(config: Config) -> CourseSet:
     """Rooms of the arena's levels in turn, of as many boxes each."""
     rooms = [cluttered_room(*CLUTTER[n % len(CLUTTER)], SEEDS + config.seed + n) for n in range(config.rooms)]
-    points = np.stack([courses_in(room, config.seed + n)[: config.courses] for n, room in enumerate(rooms)])
+    points = np.stack([courses_in(room, config.seed + n, config.courses) for n, room in enumerate(rooms)])
     nameless = [replace(room, name="", provenance="") for room in rooms]
     return CourseSet(jax.tree.map(lambda *leaves: np.stack(leaves).astype(np.float32), *nameless), points)
 

@@ -68,8 +68,8 @@ def test_courses_go_along_the_path_in_even_steps_and_on_to_the_stop():
     for lane in range(2):
         np.testing.assert_allclose(courses.points[:-1, :, lane], even, atol=0.03)
     np.testing.assert_array_equal(courses.points[-1].T, stops)
-    np.testing.assert_allclose(courses.room[:, 0], 2.0, atol=1e-9)
-    np.testing.assert_allclose(courses.room[:, 1:], np.broadcast_to([[[0.0], [0.0], [1.0]]], (12, 3, 2)), atol=1e-9)
+    assert_close(courses.room[:, 0], np.full((12, 2), 2.0), "formula")
+    assert_close(courses.room[:, 1:], np.broadcast_to([[[0.0], [0.0], [1.0]]], (12, 3, 2)), "solve")
     np.testing.assert_array_equal(placed.count, SEGMENTS + 1)
     np.testing.assert_array_equal(placed.meet, SEGMENTS - 1)
     assert placed.waypoints is courses.points
@@ -104,7 +104,7 @@ def test_each_candidate_arrives_when_its_target_does_with_the_points_of_that_pac
     np.testing.assert_array_equal(reasons[1:], 0)
     assert_close(np.asarray(arrival.durations)[:-1].sum(axis=0)[1:], [1.0, 1.5, 2.0], "formula")
     np.testing.assert_allclose((alpha / (1.0 + 0.3 * alpha))[1:], [1.0, 1.5, 2.0], rtol=1e-3)
-    np.testing.assert_allclose(np.asarray(points)[1, 0, 1:], 1.0 + 0.3 * alpha[1:], rtol=1e-6)
+    assert_close(np.asarray(points)[1, 0, 1:], 1.0 + 0.3 * alpha[1:], "formula")
 
 
 def test_targets_are_passed_nearer_where_less_is_known_of_them():

@@ -13,7 +13,7 @@ from jaxplan.prediction.kernels.mixture import conditioned, flights_of, log_dens
 from jaxplan.prediction.mixture import MODES, condition, conditional_mixture, covariance_factors
 from jaxplan.prediction.particles import even_randoms
 from jaxplan.records import replace
-from tolerances import assert_close
+from tolerances import assert_close, relative
 
 pytestmark = pytest.mark.usefixtures("x64")
 OFFSETS, BLUR = 0.1 * np.arange(1, 21), 0.05
@@ -100,4 +100,4 @@ def test_densities_are_those_of_the_marginals(model) -> None:  # type: ignore[no
             off = positions[h] - newest - given.means[3 * h : 3 * h + 3, k]
             root = np.sqrt(np.linalg.det(2.0 * np.pi * covariance))
             density += weights[k] * np.exp(-0.5 * off @ np.linalg.solve(covariance, off)) / root
-        assert found[h] == pytest.approx(np.log(density), rel=1e-9)
+        assert found[h] == pytest.approx(np.log(density), **relative("formula"))

@@ -201,11 +201,11 @@ def test_training_makes_plans_better_and_goes_on_where_it_stopped(folder, tmp_pa
 
 def test_courses_lead_through_a_room_of_one_s_own():
     world = load_world("env1")
-    points = courses_in(world, 3)
-    assert points.shape == (64, 7, 3)
+    points = courses_in(world, 3, 20)
+    assert points.shape == (20, 7, 3)
     assert (host_free_distance(world, points[:, [0, -2]].reshape(-1, 3).astype(float), 4096) > PADDING - 0.1).all()
-    np.testing.assert_array_equal(points, courses_in(world, 3))
-    assert (points != courses_in(world, 4)).any()
+    np.testing.assert_array_equal(points, courses_in(world, 3, 20))
+    assert (points != courses_in(world, 4, 20)).any()
     solid = replace(world, obstacles=make_obstacles(boxes=aligned_boxes(*(corner[None] for corner in world.bounds))))
     with pytest.raises(InputError, match="more space"):
-        courses_in(solid, 3)
+        courses_in(solid, 3, 20)

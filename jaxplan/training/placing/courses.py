@@ -47,7 +47,8 @@ FAR = (1.0, 14.0)
 """Least and largest distance of goals [m]."""
 _LEVEL = np.array([1.0, 1.0, 0.2])
 """How much goals differ along x, y and z."""
-_ATTEMPTS = 32
+_ATTEMPTS, _TRIES = 32, 8
+"""Rooms that are tried for one, and random starts in a room of one's own for each course."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,15 +113,15 @@ def load_courses(folder: Path, *, held_out: bool) -> CourseSet:
     return CourseSet(stacked, np.concatenate(points))
 
 
-def courses_in(world: World, seed: int) -> Float[np.ndarray, "c 7 3"]:
-    """``IN_ROOM`` courses through a room of one's own, as ``CourseSet.points`` has them.
+def courses_in(world: World, seed: int, count: int) -> Float[np.ndarray, "c 7 3"]:
+    """So many courses through a room of one's own, as ``CourseSet.points`` has them.
 
     Raises:
         InputError: the room is too full for that many.
     """
-    found = _courses(open_room(world), np.random.default_rng([seed, 2]))
+    found = _courses(open_room(world), np.random.default_rng([seed, 2]), count, _TRIES * count)
     if found is None:
-        raise InputError(f"courses: the room {world.name!r} has fewer than {IN_ROOM}; want one with more space")
+        raise InputError(f"courses: the room {world.name!r} has fewer than {count}; want one with more space")
     return found
 
 
@@ -145,17 +146,17 @@ def _room(seed: int, index: int) -> tuple[int, Float[np.ndarray, "c 7 3"]]:
     """The first of a few random rooms that has enough courses, and these."""
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng([seed, index, attempt, 1])
-        found = _courses(open_room(_world(seed, index, attempt)), rng)
+        found = _courses(open_room(_world(seed, index, attempt)), rng, IN_ROOM, 4 * IN_ROOM // FROM_ONE)
         if found is not None:
             return attempt, found
     raise InputError(f"courses: no room {index} of seed {seed} has any; take another seed")
 
 
-def _courses(room: Room, rng: np.random.Generator) -> Float[np.ndarray, "c 7 3"] | None:
-    """``IN_ROOM`` courses; None where the room is too full."""
+def _courses(room: Room, rng: np.random.Generator, count: int, starts: int) -> Float[np.ndarray, "c 7 3"] | None:
+    """So many courses, from so many random starts at most; None where the room is too full."""
     parts: list[Any] = []
     solid = Solid(tuple(solids_of(room.world)), np.asarray(room.world.bounds, dtype=np.float64))
-    for _ in range(4 * IN_ROOM // FROM_ONE):
+    for _ in range(starts):
         lower, upper = solid.bounds
         start = rng.uniform(lower + PADDING, upper - PADDING)
         if solid.free_distance(start[None])[0] < PADDING:
@@ -171,8 +172,8 @@ def _courses(room: Room, rng: np.random.Generator) -> Float[np.ndarray, "c 7 3"]
         good = np.flatnonzero(paths.reasons == 0)[:FROM_ONE]
         stops = stop_points(room.lattices, room.world, paths)
         parts.append(np.concatenate([np.asarray(_even(np.asarray(paths.points))), stops[:, None]], axis=1)[good])
-        if sum(map(len, parts)) >= IN_ROOM:
-            return np.concatenate(parts)[:IN_ROOM].astype(np.float32)
+        if sum(map(len, parts)) >= count:
+            return np.concatenate(parts)[:count].astype(np.float32)
     return None
 
 
