@@ -43,7 +43,7 @@ from jaxplan.planner.records import (
     Warmup,
     prospect_for,
 )
-from jaxplan.planner.refined import Refine, RefinementConfig
+from jaxplan.planner.refined import Refine
 from jaxplan.planner.refinement import refine
 from jaxplan.planner.rollouts import Rollout, build_flyer
 from jaxplan.planner.stations import compile_stations
@@ -144,9 +144,11 @@ def build_planner(
 
 def _compiled(placing: Place, config: PlannerConfig, vehicle: Vehicle) -> Placing:
     """The policy for a refinement's starts, and for all candidates."""
-    segments = RefinementConfig().segments if config.refinement is None else config.refinement.segments
-    if segments != SEGMENTS:
-        raise InputError(f"refinement: have {segments} segments, want {SEGMENTS} for a placing policy, or none")
+    refinement = config.refinement
+    if refinement is not None and refinement.segments != SEGMENTS:
+        raise InputError(
+            f"refinement: have {refinement.segments} segments, want {SEGMENTS} for a placing policy, or none"
+        )
     return Placing(jax.jit(placing), vehicle_numbers(vehicle), build_match_placed(placing, config.arrival))
 
 

@@ -29,7 +29,7 @@ from jaxplan.search.stops import stop_points
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason
 from jaxplan.vehicle.params import Vehicle
-from jaxplan.vehicle.reach import farthest
+from jaxplan.vehicle.reach import reach
 from jaxplan.world.obstacles import World
 
 GOALS_AT_ONCE = 512
@@ -47,16 +47,6 @@ _Reasons = UInt32[AnyArray, "n"]
 _Times = Float[AnyArray, "m n"]
 
 
-class Allocation(NamedTuple):
-    """Who allots times, and what is asked of trajectories with them."""
-
-    match: Match
-    least_probability: float
-    """Of being tracked, where a classifier decides."""
-    placed: MatchPlaced | None = None
-    """Who places the waypoints, too: then ``match`` is not asked."""
-
-
 class Placing(NamedTuple):
     """The placing policy, compiled, and what it must know of the vehicle."""
 
@@ -65,6 +55,16 @@ class Placing(NamedTuple):
     numbers: Float[np.ndarray, "6"]
     match: MatchPlaced
     """For all candidates."""
+
+
+class Allocation(NamedTuple):
+    """Who allots times, and what is asked of trajectories with them."""
+
+    match: Match
+    least_probability: float
+    """Of being tracked, where a classifier decides."""
+    placing: Placing | None = None
+    """Who places the waypoints, too: then ``match`` is not asked."""
 
 
 class Parts(NamedTuple):
@@ -107,7 +107,7 @@ class Parts(NamedTuple):
             return reasons.copy()
         if self.lattices.roadmap is not None:
             start, distances = np.asarray(state.pos), (float(self.world.keep_in), self.config.padding)
-            far = farthest(self.vehicle, float(np.linalg.norm(np.asarray(state.vel))), times)
+            far = np.asarray(reach(self.vehicle, float(np.linalg.norm(np.asarray(state.vel))), times))
             solids = self.lattices.roadmap.field.solids
             return reasons | reasons_against(solids, self.room.bounds, distances, start, goals, times, far)
 
@@ -200,7 +200,7 @@ class Parts(NamedTuple):
         asked = self.allocations(state)
         if self.placing is None or self.config.place != "all":
             return asked
-        return (asked[0]._replace(placed=self.placing.match), *asked)
+        return (asked[0]._replace(placing=self.placing), *asked)
 
     def durations_at(
         self, allocation: Allocation, state: FlatState, routes: Routes, alpha: Float[np.ndarray, "k"]
@@ -226,7 +226,7 @@ class Parts(NamedTuple):
     ) -> Trajectories:
         """Solved and checked trajectories, as many as the stations take, of which the first ``count`` are wanted."""
         solved = self.stations.solve(state, routes, durations, target, allocation.least_probability)
-        if allocation.placed is not None:  # its waypoints are where no path leads
+        if allocation.placing is not None:  # its waypoints are where no path leads
             reasons = np.asarray(solved.margins.reasons) & ~np.uint32(Reason.DEVIATION)
             solved = Trajectories(solved.splines, replace(solved.margins, reasons=reasons))
         return self.clear(solved, np.flatnonzero(np.asarray(solved.margins.reasons)[:count] == 0))

@@ -132,9 +132,11 @@ class PlannerConfig:
         require_one_of("planner", self, ALLOCATIONS, "allocate")
         require_one_of("planner", self, PLACINGS, "place")
         require_one_of("planner", self, SELECTIONS, "selection")
+        have = f"meet {self.meet!r} and heading {self.heading!r}"
         if self.refinement is not None and (self.meet, self.heading) != ("pass", "hold"):
-            have = f"meet {self.meet!r} and heading {self.heading!r}"
             raise InputError(f"planner: refinement needs meet 'pass' and heading 'hold', have {have}; want None")
+        if self.place == "all" and (self.meet, self.heading) != ("pass", "hold"):
+            raise InputError(f"planner: place 'all' needs meet 'pass' and heading 'hold', have {have}; want 'chosen'")
         if self.meet != "rest" and self.search != "roadmap":
             raise InputError(f"planner: meet {self.meet!r} needs search 'roadmap', have {self.search!r}; want 'rest'")
 

@@ -118,7 +118,8 @@ def compile_stations(
 
     @kept
     def reject(world: World, candidates: Candidates, state: FlatState) -> Candidates:
-        farthest = reach(vehicle, safe_norm(jnp.asarray(state.vel)), jnp.asarray(candidates.arrival_times))
+        times = jnp.asarray(candidates.arrival_times)
+        farthest = jnp.asarray(reach(vehicle, safe_norm(jnp.asarray(state.vel)), times))
         return reject_early(candidates, world, jnp.asarray(state.pos), config.padding, farthest)
 
     @kept

@@ -30,7 +30,7 @@ SLOWEST_MEETING = 0.3
 
 
 PLACED_SOONER = 0.6
-"""A plan whose waypoints are placed, too, takes this share of the first allocation's least time (arbitrary)."""
+"""No plan whose waypoints are placed takes less than this share of the first allocation's least time (arbitrary)."""
 
 
 class Matched(NamedTuple):
@@ -180,7 +180,7 @@ def bound(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
     times[len(rows) :][paths.reasons[len(rows) :] != 0] = np.inf
     soonest = np.argmin(times.reshape(-1, len(rows)), axis=0) * len(rows) + np.arange(len(rows))
     alpha[rows] = least * table.arrival_times(rows) / times[soonest]
-    sooner = PLACED_SOONER if parts.tried(state)[0].placed is not None else 1.0
+    sooner = PLACED_SOONER if parts.tried(state)[0].placing is not None else 1.0
     late = ~(alpha[rows] >= sooner * least * (1.0 - parts.config.arrival.tolerance))
     route[rows] = begin + soonest
     reasons = np.where(late, Reason.ALPHA_LT_1, 0).astype(np.uint32)
@@ -191,10 +191,10 @@ def match(parts: Parts, allocation: Allocation, state: FlatState, table: Table, 
     """Slow at most ``width`` rows down until each arrives at T_goal."""
     padded = fill(rows, parts.config.width)
     routes, times = shortened(pick(table.routes, table.route[padded])), table.arrival_times(padded)
-    if allocation.placed is not None and parts.placing is not None:
+    if allocation.placing is not None:
         radius = meet_radii(table.candidates, times, parts.config.refinement)
-        courses, routes = courses_along(routes, parts.room, radius, parts.placing.numbers)
-        arrival, points = allocation.placed(state, courses, times)
+        courses, routes = courses_along(routes, parts.room, radius, allocation.placing.numbers)
+        arrival, points = allocation.placing.match(state, courses, times)
         return Matched(allocation, rows, routes._replace(waypoints=np.asarray(points)), arrival)
     least = np.full(len(padded), parts.config.arrival.least_alpha)
     return Matched(allocation, rows, routes, allocation.match(state, routes, times, least))

@@ -4,6 +4,7 @@ from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from jaxplan.errors import InputError
 from jaxplan.replanner.records import Measured
@@ -62,18 +63,10 @@ def heading_near(attitude: Float[np.ndarray, "4"], yaw: float) -> float:
 def turn_from(attitude: Float[np.ndarray, "4"], yaw: float) -> float:
     """How far an attitude is turned about body z [rad] from that of the same thrust with this yaw [rad]."""
     body_x, body_y, body_z = _axes(attitude)
-    sin, cos = np.sin(yaw), np.cos(yaw)
-    wanted = np.array([cos * body_z[2], sin * body_z[2], -sin * body_z[1] - cos * body_z[0]])
+    wanted = np.cross([-np.sin(yaw), np.cos(yaw), 0.0], body_z)
     return float(np.arctan2(-(wanted @ body_y), wanted @ body_x))
 
 
 def _axes(attitude: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
     """Body axes in the world, one a row."""
-    w, x, y, z = (np.asarray(attitude, float) / np.linalg.norm(attitude)).tolist()
-    return np.array(
-        [
-            [w * w + x * x - y * y - z * z, 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)],
-            [2.0 * (x * y - w * z), w * w - x * x + y * y - z * z, 2.0 * (y * z + w * x)],
-            [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), w * w - x * x - y * y + z * z],
-        ]
-    )
+    return np.asarray(Rotation.from_quat(attitude, scalar_first=True).as_matrix().T)

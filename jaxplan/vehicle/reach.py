@@ -2,35 +2,29 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from jaxplan.arrays import AnyArray
+from jaxplan.arrays import AnyArray, Scalar, namespace
 from jaxplan.vehicle.gains import slowness
 from jaxplan.vehicle.limits import most_thrust
 from jaxplan.vehicle.params import Vehicle
 
 
-def reach(vehicle: Vehicle, speed: Float[AnyArray, ""], times: Float[AnyArray, "k"]) -> Float[Array, "k"]:
+def reach(vehicle: Vehicle, speed: Scalar, times: Float[AnyArray, "k"]) -> Float[AnyArray, "k"]:
     """Upper bound of the distance [m] flown within ``times`` [s] from a ``speed`` [m/s] on.
 
     All rotors push along the way, gravity too, and the drag c v^2 is against it: v' = a - (c / m) v^2, whose integral
     is (m / c) log(cosh(t / tau) + speed / v_inf sinh(t / tau)) with v_inf = sqrt(a m / c) and tau = v_inf / a.
+    NumPy's times are computed with on the host.
     """
-    vehicle = vehicle.astype(jnp.asarray(times).dtype)
+    xp = namespace(times)
+    if xp is jnp:
+        vehicle = vehicle.astype(times.dtype)
     most = most_thrust(vehicle) + vehicle.gravity
-    drag = jnp.maximum(vehicle.drag_coefficient / vehicle.mass, 1e-9)
-    rate = jnp.sqrt(most * drag) * jnp.maximum(times, 0.0)
-    grown = 2.0 * jnp.sinh(0.5 * rate) ** 2 + speed * jnp.sqrt(drag / most) * jnp.sinh(rate)
-    return jnp.log1p(grown) / drag
-
-
-def farthest(vehicle: Vehicle, speed: float, times: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
-    """``reach`` on the host, in NumPy."""
-    most = float(np.asarray(most_thrust(vehicle))) + float(vehicle.gravity)
-    drag = max(float(vehicle.drag_coefficient) / float(vehicle.mass), 1e-9)
-    rate = np.sqrt(most * drag) * np.maximum(times, 0.0)
-    grown = 2.0 * np.sinh(0.5 * rate) ** 2 + speed * np.sqrt(drag / most) * np.sinh(rate)
-    return np.asarray(np.log1p(grown) / drag)
+    drag = xp.maximum(vehicle.drag_coefficient / vehicle.mass, 1e-9)
+    rate = xp.sqrt(most * drag) * xp.maximum(times, 0.0)
+    grown = 2.0 * xp.sinh(0.5 * rate) ** 2 + speed * xp.sqrt(drag / most) * xp.sinh(rate)
+    return xp.log1p(grown) / drag
 
 
 SPARED = 0.26

@@ -163,5 +163,6 @@ def test_all_candidates_want_a_policy_to_be_asked():
             vehicle=load_vehicle(),
             policy=constant_speed_policy(),
         )
-    with pytest.raises(InputError, match="place"):
-        PlannerConfig(place="some")
+    for bad in ({"place": "some"}, {"place": "all", "meet": "rest"}, {"place": "all", "heading": "path"}):
+        with pytest.raises(InputError, match="place"):
+            PlannerConfig(**bad)
