@@ -105,7 +105,7 @@ def check_names(worlds: tuple[str, ...], planners: tuple[str, ...], predictors: 
     ):
         if not names or len(set(names)) != len(names):
             raise InputError(f"--{kind}: have {' '.join(names) or 'none'}, want at least one, each once")
-        wrong = [name for name in names if name not in known and not (kind == "predictors" and _sigma(name))]
+        wrong = [name for name in names if name not in known and not (kind == "predictors" and named_noise(name))]
         if wrong:
             raise InputError(f"--{kind}: have {wrong[0]!r}, want some of {', '.join(known)}")
 
@@ -177,14 +177,15 @@ def scenario_of(episode: EpisodeConfig) -> Scenario:
 
 def _predictor(scenario: Scenario, episode: EpisodeConfig, target: Target) -> StepPredictor:
     config, name = PredictionConfig.for_world(scenario.world), episode.predictor
-    sigma = _sigma(name)
+    sigma = named_noise(name)
     if sigma:
         config, name = dataclasses.replace(config, sigma=sigma), "noisy"
     model = shipped_model(episode.world, config.dt) if name in WITH_MODEL else None
     return build_predictor(name, config, target.position, episode.seed, model, scenario.world)
 
 
-def _sigma(predictor: str) -> float | None:
+def named_noise(predictor: str) -> float | None:
+    """S of the predictor noisy-S [m]; None for the others."""
     found = re.fullmatch(r"noisy-(\d+(?:\.\d+)?)", predictor)
     return float(found.group(1)) if found else None
 
@@ -204,11 +205,12 @@ def _scenarios(defender: Defender) -> dict[str, Scenario]:
     return {}
 
 
-def _load(world: str, defender: Defender, elsewhere: Planner | None) -> Scenario:
+def settings_of(world: str, defender: Defender) -> intercept.InterceptConfig:
+    """What a defender comes to in a stored world, as ``jaxplan intercept`` would be told."""
     planner = defender.planner
     known: intercept.Planner = next((name for name in intercept.PLANNERS if name == planner), "no-policy")
     way: intercept.Meet = next(name for name in intercept.MEETINGS if name == defender.meet)
-    config = intercept.InterceptConfig(
+    return intercept.InterceptConfig(
         world=world,
         planner=known,
         predictor="noisy",
@@ -220,8 +222,11 @@ def _load(world: str, defender: Defender, elsewhere: Planner | None) -> Scenario
         refine=defender.refine,
         selection="capture" if defender.refine else "paper",
     )
-    base = build_scenario(config, planner=elsewhere)
-    if planner == "optimiser" and elsewhere is None:
+
+
+def _load(world: str, defender: Defender, elsewhere: Planner | None) -> Scenario:
+    base = build_scenario(settings_of(world, defender), planner=elsewhere)
+    if defender.planner == "optimiser" and elsewhere is None:
         policy, settings = optimiser_policy(TIME_WEIGHT), base.planner.config
         own = build_planner(settings, world=base.world, vehicle=base.vehicle, policy=policy)
         base = dataclasses.replace(base, planner=own)

@@ -20,7 +20,7 @@ from jaxplan.prediction import target_model
 from jaxplan.runner.definition import Experiment, Item, Row
 from jaxplan.world.load import ENVIRONMENTS
 
-from . import closed_loop, table1_report
+from . import closed_loop, on_device, table1_report
 from .closed_loop import PREDICTORS, EpisodeConfig, compared_planners
 from .guidance import LAWS
 
@@ -75,6 +75,13 @@ class Config:
     seed: int = 0
     """Added to every episode's index to seed its noise."""
 
+    device: on_device.DeviceName = "host"
+    """Where episodes are flown: host, one after the other by the planner that users call; cpu or gpu, many at a time by
+    the programs of jaxplan.device, which search the same roadmaps, choose by eq. 9 and refine nothing."""
+
+    batch: int = 1024
+    """Episodes that a device flies at a time at most."""
+
     def __post_init__(self) -> None:
         closed_loop.check_names(self.worlds, self.planners, self.predictors)
         closed_loop.check_vehicle(self.vehicle, self.padding, self.planners)
@@ -91,6 +98,12 @@ class Config:
             raise InputError(f"--episodes: have {self.episodes}, want 1 to {most}, the number of combinations")
         if self.seed < 0:
             raise InputError(f"--seed: have {self.seed}, want 0 or more")
+        if not 1 <= self.batch <= 65536:
+            raise InputError(f"--batch: have {self.batch}, want 1 to 65536")
+        if self.device != "host":
+            on_device.check_names(self.planners, self.predictors)
+            if self.refine:
+                raise InputError("--refine: have it, and nothing is refined on a device; leave --device out")
 
 
 def chosen(config: Config) -> list[EpisodeConfig]:
@@ -169,6 +182,18 @@ def evaluate(config: Config, item: Item) -> Row:
     return {**item.values, **closed_loop.numbers(closed_loop.fly(episode))}
 
 
+def together(config: Config, items: list[Item]) -> list[Row]:
+    """Fly episodes of one planner on a device."""
+    episodes = [EpisodeConfig(**item.values) for item in items]
+    rows = on_device.fly_together(episodes, config.device, config.batch)
+    return [{**item.values, **row} for item, row in zip(items, rows, strict=True)]
+
+
+def at_once(config: Config, /) -> int:
+    """All of a planner, on a device."""
+    return 1 if config.device == "host" else len(config.predictors) * config.episodes
+
+
 def artefacts(config: Config) -> list[Path]:
     """Weights and mixtures that the cells use."""
     models = Path(target_model.__file__).parent / "models"
@@ -190,4 +215,6 @@ EXPERIMENT = Experiment(
     prepare=prepare,
     shard_size=10,
     artefacts=artefacts,
+    together=together,
+    at_once=at_once,
 )

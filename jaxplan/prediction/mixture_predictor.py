@@ -16,7 +16,7 @@ from jaxplan.world.obstacles import World
 
 LEAST_SEEN = 2
 """Positions from which on a mixture is asked: with one nothing is known of the velocity."""
-_UNUSUAL = 10.0
+UNUSUAL = 10.0
 """Squared Mahalanobis distance per observed coordinate above which a window is unlike all that a mixture knows."""
 _EVEN = 1e-6
 """Seconds by which the spacing of observations may differ from ``dt``."""
@@ -69,7 +69,7 @@ class WindowMixture:
 
     def is_unusual(self, observations: Observations, distance: float) -> bool:
         """Whether this squared Mahalanobis distance is that of a window unlike all that the mixture knows."""
-        return not distance <= _UNUSUAL * self.coordinates(observations)
+        return not distance <= UNUSUAL * self.coordinates(observations)
 
 
 def mixture_proposer(config: PredictionConfig, model: TargetModel, world: World | None) -> Proposer:

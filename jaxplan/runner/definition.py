@@ -113,6 +113,24 @@ class Evaluate(Protocol[C_contra]):
 
 
 @runtime_checkable
+class EvaluateTogether(Protocol[C_contra]):
+    """Evaluates many items in one go, as on a GPU."""
+
+    def __call__(self, config: C_contra, items: list[Item], /) -> list[Row]:
+        """The results of items of one group, in their order; whatever it raises is the reason why none has any."""
+        ...
+
+
+@runtime_checkable
+class CountTogether(Protocol[C_contra]):
+    """Says how many items are evaluated in one go."""
+
+    def __call__(self, config: C_contra, /) -> int:
+        """At most so many of a group; 1: each on its own."""
+        ...
+
+
+@runtime_checkable
 class MakeReport(Protocol[C]):
     """Makes the report of all results."""
 
@@ -147,6 +165,10 @@ def _no_files(config: object) -> list[Path]:
     return []
 
 
+def _each_on_its_own(config: object, /) -> int:
+    return 1
+
+
 @dataclasses.dataclass(frozen=True)
 class Experiment(Generic[C]):
     """An experiment as the command line sees it; every field of its configuration is a flag."""
@@ -165,6 +187,10 @@ class Experiment(Generic[C]):
     """Items that are lost at most when a worker dies."""
     artefacts: ListArtefacts[C] = _no_files
     """Files that the results depend on, such as weights: their hashes are kept."""
+    together: EvaluateTogether[C] | None = None
+    """Evaluate many items of a group in one go, in this process, where ``at_once`` says so."""
+    at_once: CountTogether[C] = _each_on_its_own
+    """How many; they are lost together, too."""
     parallel: bool = True
     """Whether there is anything to gain from workers; False where an item uses all cores itself."""
 

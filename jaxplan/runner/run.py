@@ -66,7 +66,10 @@ def run(request: Request, progress: Progress = lambda text: None) -> Done:
     if request.workers is not None and request.scheduler is not None:
         raise InputError("--workers and --scheduler: have both, want one; a scheduler knows its own workers")
     experiment, config = load_experiment(request.name), as_plain(request.config)
-    shards = cut(experiment.items(request.config), experiment.shard_size)
+    at_once = experiment.at_once(request.config)
+    if at_once > 1 and (request.workers or request.scheduler):
+        raise InputError("--workers, --scheduler: have one, and episodes on a device are flown in this process")
+    shards = cut(experiment.items(request.config), max(experiment.shard_size, at_once))
     with Store(request.out, request.name, request.preset, config, request.resume) as store:
         missing = store.unfinished(shards)
         if missing:
@@ -97,7 +100,8 @@ def _evaluate(
 
     workers = request.workers
     if workers is None and request.scheduler is None:
-        workers = (os.cpu_count() or 1) if experiment.parallel else 0
+        alone = not experiment.parallel or experiment.at_once(request.config) > 1
+        workers = 0 if alone else os.cpu_count() or 1
     if workers == 0:
         _run_here(request.name, config, ledger, finished)
     else:

@@ -40,7 +40,7 @@ def stop_points(
         return goals
     padding = lattices.config.padding
     room = np.asarray(world.bounds, dtype=np.float64) + padding * np.array([[1.0], [-1.0]])
-    return first_clear(tuple(lattices.roadmap.field), padding, room, goals, directions, _OPTIONS)
+    return first_clear(tuple(lattices.roadmap.field), padding, room, goals, directions, OPTIONS)
 
 
 def _options() -> Float[np.ndarray, "o 3"]:
@@ -56,4 +56,4 @@ def _options() -> Float[np.ndarray, "o 3"]:
     return np.array([(distance, np.radians(turn), rise) for _, rise, distance, turn in ordered])
 
 
-_OPTIONS = _options()
+OPTIONS = _options()
