@@ -80,7 +80,7 @@ def fly_together(
             flights = [_flight(episode, crew.predictors.index(episode.predictor)) for episode in some]
             before = done
             with _explained(batch):
-                outcomes = crew.runner.fly(_scene(defender, some[0].world), flights, lambda n, b=before: told(b + n))
+                outcomes = crew.runner.fly(scene(defender, some[0].world), flights, lambda n, b=before: told(b + n))
             done += len(some)
             for member, episode, outcome in zip(members, some, outcomes, strict=True):
                 rows[member] = _row(episode, outcome)
@@ -139,7 +139,7 @@ def _crew(defender: Defender, predictors: tuple[str, ...], width: int, device: D
     """A runner for a defender and some predictors, compiled when it first flies."""
     vehicle, name = load_vehicle(defender.vehicle), defender.planner
     policy = constant_speed_policy() if name == "no-policy" else load_policy(name)
-    config = ReplanConfig(planner=_planner_config(defender), tried_at_once=AT_ONCE_ON_GPU if device == "gpu" else 1)
+    config = ReplanConfig(planner=planner_config_of(defender), tried_at_once=AT_ONCE_ON_GPU if device == "gpu" else 1)
     replan = build_replan(config, vehicle, policy, load_classifier("mfrl") if name == "mfrl" else None)
     asked = []
     for predictor in predictors:
@@ -151,12 +151,12 @@ def _crew(defender: Defender, predictors: tuple[str, ...], width: int, device: D
     return _Crew(Runner(begin, advance, width), predictors)
 
 
-def _planner_config(defender: Defender) -> PlannerConfig:
+def planner_config_of(defender: Defender) -> PlannerConfig:
     return planner_config(settings_of("env1", defender))
 
 
 @functools.lru_cache(maxsize=8)
-def _scene(defender: Defender, world: str) -> Scene:
+def scene(defender: Defender, world: str) -> Scene:
     """A stored world, in arrays as large as those of all of them."""
     found = load_world(world)
     config = PredictionConfig.for_world(found)
@@ -171,7 +171,7 @@ def _scene(defender: Defender, world: str) -> Scene:
 
 @functools.lru_cache(maxsize=2)
 def _rooms(defender: Defender) -> dict[str, Room]:
-    config, radius = _planner_config(defender), float(load_vehicle(defender.vehicle).radius)
+    config, radius = planner_config_of(defender), float(load_vehicle(defender.vehicle).radius)
     from_faces = min(config.padding, radius + config.checks.tracking_margin)
     rooms = alike([room_of(load_world(world), config.padding, from_faces) for world in ENVIRONMENTS])
     return dict(zip(ENVIRONMENTS, rooms, strict=True))

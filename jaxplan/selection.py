@@ -1,6 +1,8 @@
 """Checks on planned trajectories as reason bits, and the paper's choice among those that pass (eq. 9)."""
 
 import dataclasses
+import functools
+from collections.abc import Callable
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +17,7 @@ from jaxplan.status import Reason, bit
 from jaxplan.validation import require_at_least, require_positive, require_within
 from jaxplan.vehicle.limits import effort_of, least_rotor_margin, most_thrust
 from jaxplan.vehicle.params import Vehicle
-from jaxplan.world.clearance import free_distance
+from jaxplan.world.clearance import DistanceIn, free_distance
 from jaxplan.world.obstacles import World
 
 
@@ -124,11 +126,16 @@ def check_flight(
 
 
 def check_clearance(
-    margins: Margins, splines: SplineBatch, world: World, vehicle: Vehicle, config: CheckConfig
+    margins: Margins,
+    splines: SplineBatch,
+    world: World,
+    vehicle: Vehicle,
+    config: CheckConfig,
+    free: DistanceIn = free_distance,
 ) -> Margins:
-    """The margins with the clearance of every spline in this world."""
+    """The margins with the clearance of every spline in this world, whose distances ``free`` knows."""
     samples = splines.derivatives(_middles(config))
-    clear = _clearance_bounds(samples, splines, config.samples_per_segment, world)
+    clear = _clearance_bounds(samples, splines, config.samples_per_segment, functools.partial(free, world))
     spare = clear - config.margin_at(safe_norm(samples[:, :, 1], axis=2))
     hit = bit(~(jnp.min(spare, axis=(0, 1)) >= vehicle.radius), Reason.CLEARANCE)
     return replace(margins, clearance=jnp.min(clear, axis=(0, 1)), reasons=margins.reasons | hit)
@@ -170,7 +177,7 @@ def _running_sums(steps: Float[Array, "m s k"]) -> Float[Array, "m s k"]:
 
 
 def _clearance_bounds(
-    samples: Float[Array, "m s 5 3 k"], splines: SplineBatch, pieces: int, world: World
+    samples: Float[Array, "m s 5 3 k"], splines: SplineBatch, pieces: int, free_at: Callable[[Array], Array]
 ) -> Float[Array, "m s k"]:
     """Least clearance on each piece of each trajectory, from below; infinite on padding.
 
@@ -178,7 +185,7 @@ def _clearance_bounds(
     acceleration on the segment; distance to obstacles changes no faster than position (Lipschitz).
     """
     points = jnp.moveaxis(samples[:, :, 0], 2, -1)
-    free = free_distance(world, points)
+    free = free_at(points)
     half = 0.5 * splines.durations / pieces
     speed = safe_norm(samples[:, :, 1], axis=2)
     reach = speed * half[:, None] + (0.5 * _acceleration_bound(splines) * half**2)[:, None]

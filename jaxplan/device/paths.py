@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxplan.device.room import Room
 from jaxplan.numerics import safe_norm
-from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.world.clearance import clearance_at_once, wall_clearance
 
 LOOKS = 24
 """Points of a line of sight that are looked at (arbitrary: what flies there is checked without gaps)."""
@@ -64,13 +64,12 @@ def shortest_ways(room: Room, start: Float[Array, "3"], goals: Float[Array, "k 3
     over = first[:, None] + room.lengths
     to_place, entered = jnp.min(over, axis=0), jnp.argmin(over, axis=0).astype(jnp.int32)
     apart = safe_norm(places[None] - goals[:, None])
-    shortest = _places_that_see(room, to_place[None] + apart, goals, straight, at_once)
-    reachable = jnp.where(jnp.isfinite(to_place)[None], apart, jnp.inf)
-    nearest = _places_that_see(room, reachable, goals, shortest.found, at_once)
-    place = jnp.where(shortest.found, shortest.place, nearest.place)
+    reached = jnp.where(jnp.isfinite(to_place)[None], apart, jnp.inf)
+    seen_from = _places_that_see(room, (to_place[None] + apart, reached), goals, straight, at_once)
+    place = seen_from.place
     points, whole = _corners(room, begin, goals, straight, entered[place], place)
     points = _joined_early(room, points)
-    found = straight | (nearest.found & whole)
+    found = straight | (seen_from.found & whole)
     length = jnp.sum(safe_norm(jnp.diff(points, axis=1)), axis=1)
     return Ways(points, jnp.where(found, length, jnp.inf), found)
 
@@ -83,7 +82,7 @@ def sees(room: Room, a: Float[Array, "n 3"], b: Float[Array, "n 3"], strictly: b
     """
     shares = jnp.linspace(0.0, 1.0, LOOKS, dtype=a.dtype)
     points = a[:, None] + shares[None, :, None] * (b - a)[:, None]
-    free, inside = clearance(room.world, points), wall_clearance(room.world, points)
+    free, inside = clearance_at_once(room.world, points), wall_clearance(room.world, points)
     end = 0 if strictly else -1
     from_obstacles = jnp.minimum(room.padding, jnp.minimum(free[:, 0], free[:, end])) - SLACK
     from_faces = jnp.minimum(room.from_faces, jnp.minimum(inside[:, 0], inside[:, end])) - 1e-4
@@ -91,17 +90,29 @@ def sees(room: Room, a: Float[Array, "n 3"], b: Float[Array, "n 3"], strictly: b
 
 
 def _places_that_see(
-    room: Room, keys: Float[Array, "k n"], goals: Float[Array, "k 3"], done: Bool[Array, "k"], at_once: int
+    room: Room,
+    orders: tuple[Float[Array, "k n"], Float[Array, "k n"]],
+    goals: Float[Array, "k 3"],
+    done: Bool[Array, "k"],
+    at_once: int,
 ) -> _Try:
-    """For each goal that is not ``done`` the place with the least key that sees it; infinite keys are not tried."""
-    places, at_once = jnp.asarray(room.places), min(at_once, keys.shape[1])
+    """For each goal that is not ``done`` the place with the least key that sees it; infinite keys are not tried.
+
+    Keys are those of the first of the ``orders``, and after so many tries of the second.
+    """
+    places, at_once = jnp.asarray(room.places), min(at_once, goals.shape[0], room.places.shape[0])
+    none = jnp.zeros(goals.shape[0], jnp.int32)
+    if at_once == 0:
+        return _Try(none, jnp.full(goals.shape[0], jnp.inf, goals.dtype), done, jnp.int32(0))
+    first = -(-TRIES // at_once) * at_once
 
     def unfinished(search: _Try) -> Bool[Array, ""]:
-        return (search.tries < TRIES) & jnp.any(~search.found & (search.key < jnp.inf))
+        return (search.tries < 2 * first) & jnp.any(~search.found)
 
     def step(search: _Try) -> _Try:
-        left = jnp.where(keys > search.key[:, None], keys, jnp.inf)
-        least, tried = _least(left, at_once)
+        keys = jnp.where(search.tries < first, *orders)
+        tried_before = jnp.where(search.tries == first, -1.0, search.key)
+        least, tried = _least(jnp.where(keys > tried_before[:, None], keys, jnp.inf), at_once)
         ends = jnp.repeat(goals[:, None], at_once, axis=1)
         seeing = sees(room, places[tried].reshape(-1, 3), ends.reshape(-1, 3)).reshape(tried.shape)
         seeing &= least < jnp.inf
@@ -109,15 +120,12 @@ def _places_that_see(
         place = jnp.take_along_axis(tried, chosen[:, None], axis=1)[:, 0].astype(jnp.int32)
         return _Try(
             place=jnp.where(search.found, search.place, place),
-            key=jnp.where(search.found, search.key, least[:, -1]),
+            key=least[:, -1],
             found=search.found | jnp.any(seeing, axis=1),
             tries=search.tries + at_once,
         )
 
-    none = jnp.zeros(goals.shape[0], jnp.int32)
-    if keys.shape[1] == 0:
-        return _Try(none, jnp.full(goals.shape[0], jnp.inf, keys.dtype), done, jnp.int32(0))
-    start = _Try(none, jnp.full(goals.shape[0], -1.0, keys.dtype), done, jnp.int32(0))
+    start = _Try(none, jnp.full(goals.shape[0], -1.0, goals.dtype), done, jnp.int32(0))
     return jax.lax.while_loop(unfinished, step, start)
 
 

@@ -32,6 +32,7 @@ from jaxplan.status import Reason, bit
 from jaxplan.validation import require_one_of, require_within
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.reach import reach
+from jaxplan.world.clearance import clearance_at_once, wall_clearance
 from jaxplan.world.obstacles import World
 
 APPROACHED = 4
@@ -127,17 +128,6 @@ class _Tried(NamedTuple):
     """When each is at its goal [s]."""
 
 
-class _Search(NamedTuple):
-    """Carry of the rounds."""
-
-    round: Int[Array, ""]
-    found: Bool[Array, ""]
-    row: Int[Array, ""]
-    alpha: Float[Array, ""]
-    spline: SplineBatch
-    reasons: UInt32[Array, "k"]
-
-
 def build_replan(
     config: ReplanConfig, vehicle: Vehicle, policy: Policy, classifier: Classifier | None = None
 ) -> Replan:
@@ -156,31 +146,19 @@ def build_replan(
         slowest = planner.arrival.least_alpha * (1.0 - planner.arrival.tolerance)
         in_vain = ~(planner.arrival.least_alpha * jnp.asarray(goals.times) / least >= slowest)
         reasons |= bit(in_vain, Reason.ALPHA_LT_1) | bit(~every.routes.whole, Reason.PREFIX_ONLY)
-        won = stations.best_first(room, state, goals, every, jnp.where(score > above, score, -jnp.inf), reasons)
-        near = stations.approach(room, state, goals, ways, rejected | bit(~ways.found, Reason.NO_PATH), meets)
-        spline = jax.tree.map(lambda a, b: jnp.where(won.found, a, b), won.spline, near.spline)
-        return Decision(
-            found=won.found,
-            approaches=~won.found & near.found,
-            score=jnp.where(won.found, score[won.row], -jnp.inf),
-            candidate=jnp.where(won.found, won.row, near.row),
-            arrival_time=jnp.where(won.found, jnp.asarray(goals.times)[won.row], near.arrival),
-            alpha=jnp.where(won.found, won.alpha, near.alpha),
-            spline=spline,
-            reasons=won.reasons,
-        )
+        near = stations.approached(goals, rejected | bit(~ways.found, Reason.NO_PATH))
+        offered = jnp.where(score > above, score, -jnp.inf)
+        return stations.best_first(room, state, goals, every, offered, reasons, near)
 
     return replan
 
 
 class _Near(NamedTuple):
-    """The best approach."""
+    """What is approached where nothing can be met: a few goals, each at several paces."""
 
-    found: Bool[Array, ""]
-    row: Int[Array, ""]
-    arrival: Float[Array, ""]
-    alpha: Float[Array, ""]
-    spline: SplineBatch
+    rows: Int[Array, "a"]
+    paces: Float[Array, "a"]
+    possible: Bool[Array, "a"]
 
 
 class _Stations:
@@ -201,7 +179,10 @@ class _Stations:
         )
         world = _in_precision_of(room.world, times)
         far = self.reach(state, goals)
-        return reject_early(candidates, world, jnp.asarray(state.pos), self._config.planner.padding, far).reasons
+        marked = reject_early(
+            candidates, world, jnp.asarray(state.pos), self._config.planner.padding, far, clearance_at_once
+        )
+        return jnp.asarray(marked.reasons)
 
     def reach(self, state: FlatState, goals: Goals) -> Float[Array, "k"]:
         """What no flight exceeds until each goal's time [m]."""
@@ -223,6 +204,15 @@ class _Stations:
         durations = self._policy.decode(every.context, sped_up(state.repeated(width), least))
         return least * jnp.asarray(time_to(durations, every.routes.meet))
 
+    def approached(self, goals: Goals, reasons: UInt32[Array, "k"]) -> _Near:
+        """A few of the latest goals, at several paces; ``reasons`` against flying there at all."""
+        times = jnp.asarray(goals.times)
+        possible = (reasons & ~jnp.uint32(int(Reason.OUT_OF_REACH))) == 0
+        count = min(APPROACHED, times.shape[0])
+        latest = jax.lax.top_k(jnp.where(possible, times, -jnp.inf), count)[1].astype(jnp.int32)
+        rows = jnp.repeat(latest, len(PACES))
+        return _Near(rows, jnp.tile(jnp.asarray(PACES, times.dtype), count), possible[rows])
+
     def best_first(
         self,
         room: Room,
@@ -231,64 +221,75 @@ class _Stations:
         every: _Allotted,
         score: Float[Array, "k"],
         reasons: UInt32[Array, "k"],
-    ) -> _Search:
-        """Rows in the order of their scores, one width after the other, until one passes."""
-        count, width = score.shape[0], min(self._config.width, score.shape[0])
+        near: _Near,
+    ) -> Decision:
+        """Rows in the order of their scores, one width after the other, until one passes; approaches beside them."""
+        times, count = jnp.asarray(goals.times), score.shape[0]
+        width = min(self._config.width, count)
         usable = (reasons == 0) & jnp.isfinite(score)
         order = jnp.argsort(jnp.where(usable, -score, jnp.inf), stable=True)
         order = jnp.concatenate([order, jnp.zeros(-count % width, order.dtype)]).astype(jnp.int32)
         left, most = jnp.sum(usable), min(self._config.rounds, -(-count // width))
 
-        def unfinished(search: _Search) -> Bool[Array, ""]:
-            return ~search.found & (search.round < most) & (search.round * width < left)
+        def unfinished(carry: tuple[Int[Array, ""], Decision]) -> Bool[Array, ""]:
+            number, decision = carry
+            return (number == 0) | (~decision.found & (number < most) & (number * width < left))
 
-        def step(search: _Search) -> _Search:
-            rows = jax.lax.dynamic_slice(order, (search.round * width,), (width,))
-            counts = search.round * width + jnp.arange(width, dtype=jnp.int32) < left
-            tried = self._match(room, state, every.some(rows), jnp.asarray(goals.times)[rows])
-            passed = (tried.margins.reasons == 0) & counts
-            best = jnp.argmax(passed)
-            known = search.reasons.at[jnp.where(counts, rows, count)].set(tried.margins.reasons, mode="drop")
-            return _Search(
-                search.round + 1, jnp.any(passed), rows[best], tried.alpha[best], _one(tried.splines, best), known
+        def step(carry: tuple[Int[Array, ""], Decision]) -> tuple[Int[Array, ""], Decision]:
+            number, before = carry
+            rows = jax.lax.dynamic_slice(order, (number * width,), (width,))
+            counts = number * width + jnp.arange(width, dtype=jnp.int32) < left
+            tried = self._try(room, state, every, rows, times[rows], near)
+            against = tried.margins.reasons
+            passed = (against[:width] == 0) & counts
+            lateness = tried.arrival[width:] - times[near.rows]
+            lateness = jnp.where((against[width:] == 0) & near.possible, lateness, jnp.inf)
+            found, best = jnp.any(passed), jnp.argmin(lateness)
+            place = jnp.where(found, jnp.argmax(passed), width + best)
+            row = jnp.where(found, rows[jnp.argmax(passed)], near.rows[best])
+            return number + 1, Decision(
+                found=found,
+                approaches=~found & jnp.isfinite(lateness[best]),
+                score=jnp.where(found, score[row], -jnp.inf),
+                candidate=row,
+                arrival_time=tried.arrival[place],
+                alpha=tried.alpha[place],
+                spline=_one(tried.splines, place),
+                reasons=before.reasons.at[jnp.where(counts, rows, count)].set(against[:width], mode="drop"),
             )
 
         first = jnp.where(usable, jnp.uint32(int(Reason.OUTRANKED)), reasons)
-        start = _Search(jnp.int32(0), left < 0, order[0], jnp.zeros_like(score[0]), self._nothing(every), first)
-        return jax.lax.while_loop(unfinished, step, start)
+        return jax.lax.while_loop(unfinished, step, (jnp.int32(0), _nothing(every, first)))[1]
 
-    def approach(
-        self, room: Room, state: FlatState, goals: Goals, ways: Ways, reasons: UInt32[Array, "k"], meets: Meet
-    ) -> _Near:
-        """Towards a few of the latest goals, each at several paces: the one that is least late."""
-        times = jnp.asarray(goals.times)
-        possible = (reasons & ~jnp.uint32(int(Reason.OUT_OF_REACH))) == 0
-        count = min(APPROACHED, times.shape[0])
-        latest = jax.lax.top_k(jnp.where(possible, times, -jnp.inf), count)[1].astype(jnp.int32)
-        member = jnp.repeat(latest, len(PACES))
-        alpha = jnp.tile(jnp.asarray(PACES, times.dtype), count)
-        every = self.allot(room, jax.tree.map(lambda leaf: leaf[latest], ways), meets)
-        some = every.some(jnp.repeat(jnp.arange(count), len(PACES)))
-        decoded = self._policy.decode(some.context, sped_up(state.repeated(len(member)), alpha))
-        tried = self._solve(room, state, some, decoded * alpha[None], alpha)
-        lateness = jnp.where((tried.margins.reasons == 0) & possible[member], tried.arrival - times[member], jnp.inf)
-        best = jnp.argmin(lateness)
-        return _Near(
-            jnp.isfinite(lateness[best]), member[best], tried.arrival[best], alpha[best], _one(tried.splines, best)
-        )
+    def _try(
+        self,
+        room: Room,
+        state: FlatState,
+        every: _Allotted,
+        rows: Int[Array, "w"],
+        times: Float[Array, "w"],
+        near: _Near,
+    ) -> _Tried:
+        """Rows slowed down until each arrives in time, and approaches at their paces: solved and checked together.
 
-    def _match(self, room: Room, state: FlatState, some: _Allotted, times: Float[Array, "w"]) -> _Tried:
-        """Slowed down until each arrives in time, solved and checked."""
+        For an arrival time of 0 the iteration ends after one call, which has the durations at the least scale factor.
+        """
+        width, some = len(rows), every.some(jnp.concatenate([rows, near.rows]))
+        least = jnp.full(width, self._config.planner.arrival.least_alpha, times.dtype)
+        least = jnp.concatenate([least, near.paces])
         arrival = match_arrival(
             lambda initial: self._policy.decode(some.context, initial),
             state,
-            times,
+            jnp.concatenate([times, jnp.zeros_like(near.paces)]),
             self._config.planner.arrival,
             some.routes.meet,
+            least,
         )
-        tried = self._solve(room, state, some, jnp.asarray(arrival.durations), jnp.asarray(arrival.alpha))
-        margins = dataclasses.replace(tried.margins, reasons=tried.margins.reasons | arrival.reasons)
-        return tried._replace(margins=margins)
+        matched = jnp.arange(len(least)) < width
+        durations = jnp.where(matched[None], arrival.durations, arrival.least_durations)
+        alpha, reasons = jnp.where(matched, arrival.alpha, least), jnp.where(matched, arrival.reasons, 0)
+        tried = self._solve(room, state, some, durations, alpha)
+        return tried._replace(margins=dataclasses.replace(tried.margins, reasons=tried.margins.reasons | reasons))
 
     def _solve(
         self,
@@ -308,17 +309,20 @@ class _Stations:
         world = _in_precision_of(room.world, durations)
         flown = check_flight(splines, some.samples, self._vehicle, planner.checks, probability)
         finer = dataclasses.replace(planner.checks, samples_per_segment=self._config.pieces)
-        margins = check_clearance(flown, splines, world, self._vehicle, finer)
+        margins = check_clearance(flown, splines, world, self._vehicle, finer, _free_distance)
         return _Tried(splines, margins, alpha, jnp.asarray(time_to(durations, some.routes.meet)))
 
-    def _nothing(self, every: _Allotted) -> SplineBatch:
-        """A trajectory of no use."""
-        segments, dtype = every.waypoints.shape[0] - 1, every.waypoints.dtype
-        return SplineBatch(
-            durations=jnp.zeros((segments, 1), dtype),
-            position=jnp.zeros((segments, 10, 3, 1), dtype),
-            yaw=jnp.zeros((segments, 6, 1, 1), dtype),
-        )
+
+def _nothing(every: _Allotted, reasons: UInt32[Array, "k"]) -> Decision:
+    """Before anything was tried."""
+    segments, dtype = every.waypoints.shape[0] - 1, every.waypoints.dtype
+    no, zero = jnp.zeros((), bool), jnp.zeros((), dtype)
+    spline = SplineBatch(
+        durations=jnp.zeros((segments, 1), dtype),
+        position=jnp.zeros((segments, 10, 3, 1), dtype),
+        yaw=jnp.zeros((segments, 6, 1, 1), dtype),
+    )
+    return Decision(no, no, zero, jnp.int32(0), zero, zero, spline, reasons)
 
 
 def stop_points(room: Room, points: Float[Array, "k l 3"]) -> Float[Array, "k 3"]:
@@ -360,6 +364,10 @@ def _before_the_goal(points: Float[Array, "k l 3"]) -> Float[Array, "k 3"]:
 
 def _one(splines: SplineBatch, at: Int[Array, ""]) -> SplineBatch:
     return jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, at, 1, axis=leaf.ndim - 1), splines)
+
+
+def _free_distance(world: World, points: Float[AnyArray, "*n 3"], /) -> Float[Array, "*n"]:
+    return jnp.minimum(clearance_at_once(world, points), wall_clearance(world, points))
 
 
 def _in_precision_of(world: World, like: Float[Array, "k"]) -> World:

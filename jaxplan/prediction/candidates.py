@@ -11,7 +11,7 @@ from jaxplan.prediction.futures import Futures
 from jaxplan.records import record, replace, static
 from jaxplan.status import Reason, bit
 from jaxplan.validation import as_shaped
-from jaxplan.world.clearance import clearance, wall_clearance
+from jaxplan.world.clearance import DistanceIn, clearance, wall_clearance
 from jaxplan.world.obstacles import World
 
 
@@ -116,7 +116,12 @@ def mean_motion(candidates: Candidates) -> Motion:
 
 
 def reject_early(
-    candidates: Candidates, world: World, start: Float[Array, "3"], padding: float, reach: Float[Array, "k"]
+    candidates: Candidates,
+    world: World,
+    start: Float[Array, "3"],
+    padding: float,
+    reach: Float[Array, "k"],
+    free: DistanceIn = clearance,
 ) -> Candidates:
     """Mark what cannot be a goal: outside the room, in a padded obstacle, at no usable time, out of reach.
 
@@ -126,13 +131,14 @@ def reject_early(
         start: where the plan starts [m, world]; arrival times count from that instant.
         padding: clearance that a goal needs from obstacles [m].
         reach: how far [m] the vehicle can get until each arrival; farther goals are out of reach whatever the path.
+        free: knows the distances to obstacles in this world.
     """
     goals, left = jnp.asarray(candidates.goals), jnp.asarray(candidates.arrival_times)
     distance = jnp.sqrt(jnp.sum((goals - start[None]) ** 2, axis=-1))
     reasons = (
         bit(~jnp.isfinite(goals).all(axis=-1), Reason.NONFINITE)
         | bit(~(wall_clearance(world, goals) >= world.keep_in), Reason.GOAL_OUTSIDE)
-        | bit(~(clearance(world, goals) >= padding), Reason.GOAL_OCCUPIED)
+        | bit(~(free(world, goals) >= padding), Reason.GOAL_OCCUPIED)
         | bit(~((left > 0.0) & jnp.isfinite(left)), Reason.T_GOAL_INVALID)
         | bit(~(distance <= reach), Reason.OUT_OF_REACH)
     )

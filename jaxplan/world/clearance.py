@@ -16,6 +16,7 @@ Precision: float64 where the caller's JAX has 64-bit types enabled. Layout: the 
 that each primitive is one vectorised pass over the points.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
@@ -57,10 +58,18 @@ class _Distance(Protocol):
         """From all points to one primitive: a row of its record, or for each point a row of its own."""
 
 
+@runtime_checkable
+class DistanceIn(Protocol):
+    """Distances to obstacles, or to obstacles and faces."""
+
+    def __call__(self, world: World, points: Float[AnyArray, "*batch 3"], /) -> Float[Array, "*batch"]:
+        """Signed [m], from each point [m, world] to the nearest one; negative inside."""
+
+
 _T = TypeVar("_T")
 
 
-def clearance(world: World | Obstacles, points: Float[AnyArray, "*batch 3"]) -> Float[Array, "*batch"]:
+def clearance(world: World | Obstacles, points: Float[AnyArray, "*batch 3"], /) -> Float[Array, "*batch"]:
     """Signed distance [m] from each point (world frame, m) to the nearest obstacle; negative inside one.
 
     The room's own faces do not count (see ``wall_clearance``). Exact for primitives; for a mesh and for
@@ -73,8 +82,8 @@ def clearance(world: World | Obstacles, points: Float[AnyArray, "*batch 3"]) -> 
         raise InputError(f"clearance: points have shape {points.shape}, want (..., 3)")
     finite = jnp.isfinite(points).all(axis=-1)
     p = _Points(*(jnp.where(finite, points[..., axis], 0.0) for axis in range(3)))
-    kinds = obstacles.boxes, obstacles.cylinders, obstacles.planes, obstacles.spheres, obstacles.capsules
-    distance = _to_primitives(jax.tree.map(lambda leaf: jnp.asarray(leaf, points.dtype), kinds), p)
+    kinds = jax.tree.map(lambda leaf: jnp.asarray(leaf, points.dtype), _kinds_of(obstacles))
+    distance = _to_primitives(kinds, p)
     if obstacles.mesh is not None:
         distance = jnp.minimum(distance, _grid_distance(obstacles.mesh, p))
     if obstacles.voxels is not None:
@@ -92,6 +101,28 @@ def wall_clearance(world: World, points: Float[AnyArray, "*batch 3"]) -> Float[A
 def free_distance(world: World, points: Float[AnyArray, "*batch 3"]) -> Float[Array, "*batch"]:
     """Signed distance [m] to the nearest obstacle or face of the room; negative inside or outside; NaN for NaN."""
     return jnp.minimum(clearance(world, points), wall_clearance(world, points))
+
+
+def clearance_at_once(world: World, points: Float[AnyArray, "*batch 3"]) -> Float[Array, "*batch"]:
+    """``clearance`` with all primitives in one pass, for finite points: little to compile, and soonest on a GPU."""
+    points = jnp.asarray(points)
+    p = _Points(*(points[..., axis] for axis in range(3)))
+    obstacles = jax.tree.map(lambda leaf: jnp.asarray(leaf).astype(points.dtype), _kinds_of(world.obstacles))
+    nearest = _Nearest(jnp.full_like(p.x, jnp.inf), jnp.zeros_like(p.x))
+    for distance, primitives in zip(_DISTANCES, obstacles, strict=True):
+        if _count(primitives):
+            found = jax.vmap(distance, in_axes=(0, None))(primitives, p)
+            nearest = _Nearest(
+                jnp.minimum(nearest.outside, jnp.min(found.outside, axis=0)),
+                jnp.minimum(nearest.inside, jnp.min(found.inside, axis=0)),
+            )
+    grids = [grid for grid in (world.mesh, world.voxels) if grid is not None]
+    return functools.reduce(jnp.minimum, (_grid_distance(grid, p) for grid in grids), _signed(nearest))
+
+
+def _kinds_of(obstacles: Obstacles) -> tuple:
+    """The primitives, in the order of ``_DISTANCES``."""
+    return obstacles.boxes, obstacles.cylinders, obstacles.planes, obstacles.spheres, obstacles.capsules
 
 
 @jax.custom_jvp
@@ -201,7 +232,7 @@ def _capsule(capsule: Capsules, p: _Points) -> _Nearest:
 
 
 _DISTANCES: tuple[_Distance, ...] = (_box, _cylinder, _plane, _sphere, _capsule)
-"""In the order of the kinds in ``clearance``; each maps one primitive and the points to a ``_Nearest``."""
+"""In the order of ``_kinds_of``; each maps one primitive and the points to a ``_Nearest``."""
 
 
 def _along_and_across(
