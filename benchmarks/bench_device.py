@@ -17,7 +17,8 @@ import jax
 import numpy as np
 
 from experiments import closed_loop, on_device, table1
-from jaxplan.device.replan import Goals, ReplanConfig, build_replan
+from jaxplan.device.replan import ReplanConfig, build_replan
+from jaxplan.device.stations import Goals
 from jaxplan.feasibility.checkpoint import load_classifier
 from jaxplan.io.targets import load_target
 from jaxplan.policy.checkpoint import load_policy

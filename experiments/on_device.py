@@ -73,14 +73,14 @@ def fly_together(
     defender = _defender(episodes[0])
     done = 0
     with jax.default_device(device_named(device)):
-        for members in _groups(episodes):
+        for members in groups(episodes):
             some = [episodes[member] for member in members]
             predictors = tuple(dict.fromkeys(episode.predictor for episode in some))
-            crew = _crew(defender, _shared(predictors), min(batch, _widest(episodes)), device)
-            flights = [_flight(episode, crew.predictors.index(episode.predictor)) for episode in some]
+            manned = crew(defender, _shared(predictors), min(batch, _widest(episodes)), device)
+            flights = [_flight(episode, manned.predictors.index(episode.predictor)) for episode in some]
             before = done
             with _explained(batch):
-                outcomes = crew.runner.fly(scene(defender, some[0].world), flights, lambda n, b=before: told(b + n))
+                outcomes = manned.runner.fly(scene(defender, some[0].world), flights, lambda n, b=before: told(b + n))
             done += len(some)
             for member, episode, outcome in zip(members, some, outcomes, strict=True):
                 rows[member] = _row(episode, outcome)
@@ -100,7 +100,9 @@ def _explained(batch: int) -> Iterator[None]:
         ) from error
 
 
-class _Crew(NamedTuple):
+class Crew(NamedTuple):
+    """A runner, and the predictors that its flights name by their numbers."""
+
     runner: Runner
     predictors: tuple[str, ...]
 
@@ -114,10 +116,10 @@ def _shared(predictors: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _widest(episodes: Sequence[EpisodeConfig]) -> int:
-    return max(len(members) for members in _groups(episodes))
+    return max(len(members) for members in groups(episodes))
 
 
-def _groups(episodes: Sequence[EpisodeConfig]) -> list[list[int]]:
+def groups(episodes: Sequence[EpisodeConfig]) -> list[list[int]]:
     """Numbers of the episodes that are flown together: in one world, with as many goals a cycle."""
     found: dict[tuple[str, int], list[int]] = {}
     for number, episode in enumerate(episodes):
@@ -135,7 +137,7 @@ def _defender(episode: EpisodeConfig) -> Defender:
 
 
 @functools.lru_cache(maxsize=8)
-def _crew(defender: Defender, predictors: tuple[str, ...], width: int, device: DeviceName) -> _Crew:
+def crew(defender: Defender, predictors: tuple[str, ...], width: int, device: DeviceName) -> Crew:
     """A runner for a defender and some predictors, compiled when it first flies."""
     vehicle, name = load_vehicle(defender.vehicle), defender.planner
     policy = constant_speed_policy() if name == "no-policy" else load_policy(name)
@@ -148,7 +150,7 @@ def _crew(defender: Defender, predictors: tuple[str, ...], width: int, device: D
         asked.append(build_predict(_kind(predictor), prediction))
     loop = LoopConfig(prediction=PredictionConfig(), likelihood_weight=config.planner.likelihood_weight)
     begin, advance = build_loop(loop, vehicle, build_plant(vehicle), asked, replan)
-    return _Crew(Runner(begin, advance, width), predictors)
+    return Crew(Runner(begin, advance, width), predictors)
 
 
 def planner_config_of(defender: Defender) -> PlannerConfig:

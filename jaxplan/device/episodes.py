@@ -19,8 +19,9 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxplan.arrays import AnyArray
 from jaxplan.device.predict import Predict, Seen
-from jaxplan.device.replan import Decision, Goals, Replan
+from jaxplan.device.replan import Decision, Replan
 from jaxplan.device.room import Room
+from jaxplan.device.stations import Goals
 from jaxplan.interception.judging import INTERCEPTION_RADIUS
 from jaxplan.knots import MAX_WAYPOINTS
 from jaxplan.numerics import safe_norm

@@ -62,7 +62,8 @@ def shortest_ways(room: Room, start: Float[Array, "3"], goals: Float[Array, "k 3
     seen = sees(room, jnp.broadcast_to(begin, places.shape), places)
     first = jnp.where(seen, safe_norm(places - begin[None]), jnp.inf)
     over = first[:, None] + room.lengths
-    to_place, entered = jnp.min(over, axis=0), jnp.argmin(over, axis=0).astype(jnp.int32)
+    entered = jnp.argmin(over, axis=0).astype(jnp.int32)  # one reduction: two would keep all sums of a batch
+    to_place = first[entered] + jnp.asarray(room.lengths)[entered, jnp.arange(places.shape[0])]
     apart = safe_norm(places[None] - goals[:, None])
     reached = jnp.where(jnp.isfinite(to_place)[None], apart, jnp.inf)
     seen_from = _places_that_see(room, (to_place[None] + apart, reached), goals, straight, at_once)
@@ -86,7 +87,7 @@ def sees(room: Room, a: Float[Array, "n 3"], b: Float[Array, "n 3"], strictly: b
     end = 0 if strictly else -1
     from_obstacles = jnp.minimum(room.padding, jnp.minimum(free[:, 0], free[:, end])) - SLACK
     from_faces = jnp.minimum(room.from_faces, jnp.minimum(inside[:, 0], inside[:, end])) - 1e-4
-    return jnp.all((free >= from_obstacles[:, None]) & (inside >= from_faces[:, None]), axis=1)
+    return jnp.all((free >= jnp.maximum(from_obstacles, 0.0)[:, None]) & (inside >= from_faces[:, None]), axis=1)
 
 
 def _places_that_see(
@@ -100,10 +101,8 @@ def _places_that_see(
 
     Keys are those of the first of the ``orders``, and after so many tries of the second.
     """
-    places, at_once = jnp.asarray(room.places), min(at_once, goals.shape[0], room.places.shape[0])
+    places, at_once = jnp.asarray(room.places), min(at_once, room.places.shape[0])
     none = jnp.zeros(goals.shape[0], jnp.int32)
-    if at_once == 0:
-        return _Try(none, jnp.full(goals.shape[0], jnp.inf, goals.dtype), done, jnp.int32(0))
     first = -(-TRIES // at_once) * at_once
 
     def unfinished(search: _Try) -> Bool[Array, ""]:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxplan.arrays import AnyArray
-from jaxplan.device.replan import Goals
+from jaxplan.device.stations import Goals
 from jaxplan.errors import InputError
 from jaxplan.names import meant
 from jaxplan.prediction.kinematic import VELOCITY_FROM
@@ -126,7 +126,7 @@ def _from_mixture(
     positions = jnp.asarray(seen.positions)
     at = jnp.clip(seen.known - LEAST_SEEN, 0, config.observations - LEAST_SEEN)
     ready = jax.tree.map(lambda leaf: jnp.asarray(leaf, positions.dtype)[at], mixture)
-    relative = (positions[:-1] - positions[-1]).reshape(-1)
+    relative = (positions[:-1] - positions[-1:]).reshape(-1)
     anchored = ready.rows.shape[-1] > len(relative)
     observed = jnp.concatenate([positions[-1], relative]) if anchored else relative
     log_weights, means, distance = condition(ready, observed)
@@ -150,4 +150,4 @@ def _straight_on(config: PredictionConfig, seen: Seen) -> Float[Array, "s 3"]:
     three = (newest - positions[-VELOCITY_FROM]) / (seen.interval * (VELOCITY_FROM - 1))  # least squares, even steps
     velocity = jnp.where(seen.known >= VELOCITY_FROM, three, jnp.where(seen.known == 2, two, 0.0))
     offsets = jnp.arange(1, config.steps + 1, dtype=positions.dtype) * seen.interval
-    return newest + offsets[:, None] * velocity
+    return newest[None] + offsets[:, None] * velocity[None]

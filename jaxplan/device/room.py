@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -63,6 +64,9 @@ def room_of(world: World, padding: float, from_faces: float, resolution: float =
             f"world {world.name!r}: its roadmap has {len(roads.points)} places, and all distances are kept for at most "
             f"{MOST_PLACES}; choose a larger resolution, or plan on the host"
         )
+    if len(roads.points) == 0:  # one place, where nobody gets
+        none = np.zeros(0, np.int32)
+        roads = Roads(np.full((1, 3), FAR), np.zeros((1, 3)), np.zeros(2, np.int32), none, none.astype(np.float32))
     lengths, onward = all_pairs(roads)
     kept = max(float(world.keep_in), from_faces)
     bare = replace(world, name="", provenance="", start=None)
@@ -80,8 +84,6 @@ def room_of(world: World, padding: float, from_faces: float, resolution: float =
 def all_pairs(roads: Roads) -> tuple[Float[np.ndarray, "n n"], Int[np.ndarray, "n n"]]:
     """Lengths of the shortest ways between all places [m], and where each goes next (``Room.onward``)."""
     count = len(roads.points)
-    if count == 0:
-        return np.zeros((0, 0)), np.zeros((0, 0), np.int32)
     graph = csr_array((np.asarray(roads.lengths, np.float64), roads.ends, roads.first), shape=(count, count))
     lengths, before = dijkstra(graph, return_predecessors=True)
     onward = before.T.astype(
@@ -141,6 +143,6 @@ def _more(kind: Any, count: int) -> Any:
     return replace(kind, **{field.name: grown(field.name, getattr(kind, field.name)) for field in fields(kind)})
 
 
-def _in_single_precision(leaf: AnyArray) -> AnyArray:
+def _in_single_precision(leaf: ArrayLike) -> AnyArray:
     array = np.asarray(leaf)
     return array.astype(np.float32) if array.dtype.kind == "f" else array

@@ -18,6 +18,8 @@ from jaxplan.tracking.rates import CONTROL_RATE
 
 CYCLES_AT_ONCE = 5
 """Periods that are flown between two looks at who has ended (arbitrary)."""
+CHUNK = 512
+"""Episodes that are computed side by side (arbitrary: as many with 400 goals a cycle take some 40 GB)."""
 NOBODY = -1
 
 
@@ -55,13 +57,22 @@ class Outcome(NamedTuple):
 class Runner:
     """Flies episodes a batch at a time; compiled once for each shape of scene."""
 
-    def __init__(self, begin: Begin, advance: Advance, width: int) -> None:
-        """``width``: how many episodes are flown at once. Raises InputError where that is not at least 1."""
-        if width < 1:
-            raise InputError(f"runner: the width is {width}, want at least 1")
+    def __init__(self, begin: Begin, advance: Advance, width: int, chunk: int = CHUNK) -> None:
+        """Take the two functions of a loop.
+
+        Args:
+            begin, advance: as ``build_loop`` gives them.
+            width: how many episodes are under way at once.
+            chunk: of these, so many are computed side by side, one chunk after the other: what memory has to hold.
+
+        Raises:
+            InputError: ``width`` or ``chunk`` is not at least 1.
+        """
+        if width < 1 or chunk < 1:
+            raise InputError(f"runner: width and chunk are {width} and {chunk}, want at least 1")
         self._width = width
         self._begin = jax.jit(functools.partial(_begun, begin))
-        self._advance = jax.jit(functools.partial(_advanced, advance))
+        self._advance = jax.jit(functools.partial(_advanced, advance, min(chunk, width)))
         self._refill = jax.jit(_refilled)
 
     @in_float64
@@ -101,13 +112,19 @@ def _begun(begin: Begin, scene: Scene, table: Episode, members: Int[Array, "e"])
     return jax.vmap(lambda member: begin(scene, _row(table, member)))(members)
 
 
-def _advanced(advance: Advance, scene: Scene, table: Episode, members: Int[Array, "e"], state: State) -> State:
+def _advanced(
+    advance: Advance, chunk: int, scene: Scene, table: Episode, members: Int[Array, "e"], state: State
+) -> State:
     """A few periods later."""
 
-    def one(member: Int[Array, ""], state: State) -> State:
+    def one(under_way: tuple[Int[Array, ""], State]) -> State:
+        member, state = under_way
         return advance(scene, _row(table, member), state)
 
-    return jax.lax.fori_loop(0, CYCLES_AT_ONCE, lambda _, state: jax.vmap(one)(members, state), state)
+    def period(_: int, state: State) -> State:
+        return jax.lax.map(one, (members, state), batch_size=chunk)
+
+    return jax.lax.fori_loop(0, CYCLES_AT_ONCE, period, state)
 
 
 def _refilled(fresh: Bool[Array, "e"], begun: State, state: State) -> State:
