@@ -190,8 +190,8 @@ def together(config: Config, items: list[Item]) -> list[Row]:
 
 
 def at_once(config: Config, /) -> int:
-    """All of a planner, on a device."""
-    return 1 if config.device == "host" else len(config.predictors) * config.episodes
+    """All of a planner, on a device; 2 at least, so that a single one is flown there, too."""
+    return 1 if config.device == "host" else max(2, len(config.predictors) * config.episodes)
 
 
 def artefacts(config: Config) -> list[Path]:

@@ -177,9 +177,12 @@ def build_loop(
         rows = state.step + jnp.arange(config.period + 1, dtype=jnp.int32)
         flown, log = plant.fly(state.plant, _references(state.plan, rows))
         tally = _judged(config, vehicle, scene.room, episode, state.tally, rows[1:], log)
-        counted = tally._replace(cycles=tally.cycles + active, plans=tally.plans + (active & changed))
+        committed = active & changed
+        counted = tally._replace(
+            cycles=tally.cycles + active.astype(jnp.int32), plans=tally.plans + committed.astype(jnp.int32)
+        )
         tally = jax.tree.map(lambda new, old: jnp.where(flying, new, old), counted, state.tally)
-        kept = jax.tree.map(lambda new, old: jnp.where(active & changed, new, old), plan, state.plan)
+        kept = jax.tree.map(lambda new, old: jnp.where(committed, new, old), plan, state.plan)
         return State(takeover, flown, kept, _timed_out(episode, takeover, tally))
 
     return begin, advance

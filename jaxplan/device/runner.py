@@ -20,6 +20,8 @@ CYCLES_AT_ONCE = 5
 """Periods that are flown between two looks at who has ended (arbitrary)."""
 CHUNK = 512
 """Episodes that are computed side by side (arbitrary: as many with 400 goals a cycle take some 40 GB)."""
+FEWEST, SHORTEST = 64, 4096
+"""Episodes, and control steps of a target, for which arrays have room at least (arbitrary)."""
 NOBODY = -1
 
 
@@ -121,7 +123,7 @@ def _advanced(
         member, state = under_way
         return advance(scene, _row(table, member), state)
 
-    def period(_: int, state: State) -> State:
+    def period(_: Int[Array, ""], state: State) -> State:
         return jax.lax.map(one, (members, state), batch_size=chunk)
 
     return jax.lax.fori_loop(0, CYCLES_AT_ONCE, period, state)
@@ -137,14 +139,24 @@ def _refilled(fresh: Bool[Array, "e"], begun: State, state: State) -> State:
 
 
 def _table(flights: Sequence[Flight]) -> Episode:
-    """All flights, targets as long as the longest."""
-    steps = np.array([math.ceil(flight.target.duration * CONTROL_RATE) for flight in flights])
-    instants = np.arange(steps.max() + 1) / CONTROL_RATE
-    targets = np.stack([flight.target.position(instants) for flight in flights]).astype(np.float32)
-    departures = np.array([math.ceil(flight.departure * CONTROL_RATE - 1e-6) for flight in flights])
-    keys = jax.vmap(jax.random.key)(jnp.array([flight.seed for flight in flights]))
-    predictors = np.array([flight.predictor for flight in flights], np.int32)
-    return Episode(targets, steps.astype(np.int32), departures.astype(np.int32), predictors, keys)
+    """All flights, their targets as long as the longest; filled up, so that few shapes are compiled for."""
+    rows = [*flights, *([flights[0]] * (_filled(len(flights), FEWEST) - len(flights)))]
+    steps = np.array([math.ceil(flight.target.duration * CONTROL_RATE) for flight in rows])
+    instants = np.arange(_filled(int(steps.max()) + 1, SHORTEST)) / CONTROL_RATE
+    targets = {id(flight): flight.target.position(instants).astype(np.float32) for flight in flights}
+    departures = np.array([math.ceil(flight.departure * CONTROL_RATE - 1e-6) for flight in rows])
+    return Episode(
+        target=np.stack([targets[id(flight)] for flight in rows]),
+        steps=steps.astype(np.int32),
+        departure=departures.astype(np.int32),
+        predictor=np.array([flight.predictor for flight in rows], np.int32),
+        key=jax.vmap(jax.random.key)(jnp.array([flight.seed for flight in rows])),
+    )
+
+
+def _filled(count: int, least: int) -> int:
+    """The next one of ``least`` times powers of 2."""
+    return least * 2 ** max(0, math.ceil(math.log2(count / least)))
 
 
 def _outcome(tally: Tally) -> Outcome:
