@@ -34,6 +34,7 @@ SIZES: dict[str, tuple[str, ...]] = {
     "planner": ("--worlds", "env1", "--counts", "400", "--cycles", "40"),
     "safety": ("--worlds", "env1", "--departures", "0.5", "--targets", "1"),
     "runtime": ("--seconds", "10", "--kills", "1"),
+    "device": ("--parts", "host", "replan", "--counts", "20", "400"),
     "mavlink": ("--seconds", "5"),
     "start": (),
 }

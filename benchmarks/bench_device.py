@@ -16,7 +16,6 @@ from typing import Any
 import jax
 import numpy as np
 
-from experiments import closed_loop, on_device, table1
 from jaxplan.device.replan import ReplanConfig, build_replan
 from jaxplan.device.stations import Goals
 from jaxplan.feasibility.checkpoint import load_classifier
@@ -24,10 +23,13 @@ from jaxplan.io.targets import load_target
 from jaxplan.policy.checkpoint import load_policy
 from jaxplan.precision import in_float64
 from jaxplan.prediction.candidates import candidates_from
+from jaxplan.runner.registry import bundled
 from jaxplan.spline import hover
 from jaxplan.vehicle.load import load_vehicle
 
 from . import _harness
+
+closed_loop, on_device, table1 = (bundled("experiments", name) for name in ("closed_loop", "on_device", "table1"))
 
 WORLD = "env3"
 COUNTS = (20, 400, 2048)
@@ -52,7 +54,7 @@ def goal_sets(count: int) -> list[Goals]:
 
 
 @in_float64
-def replan_rows(device: on_device.DeviceName, counts: Sequence[int]) -> list[dict[str, Any]]:
+def replan_rows(device: str, counts: Sequence[int]) -> list[dict[str, Any]]:
     """Milliseconds of one replan."""
     scene = on_device.scene(DEFENDER, WORLD)
     config = ReplanConfig(
@@ -92,7 +94,7 @@ def host_rows(counts: Sequence[int]) -> list[dict[str, Any]]:
     return rows
 
 
-def episode_row(device: on_device.DeviceName, predictor: str, width: int, count: int) -> dict[str, Any]:
+def episode_row(device: str, predictor: str, width: int, count: int) -> dict[str, Any]:
     """Episodes a second, of ``count`` of them, ``width`` at a time; the first go compiles."""
     config = table1.Config(worlds=(WORLD,), episodes=min(count, 1000))
     chosen = [table1.chosen(config)[i % config.episodes] for i in range(count)]

@@ -16,7 +16,7 @@ LAYERS = [
     {"minsnap", "vehicle", "world"},
     {"prediction", "search", "knots", "policy", "arrival", "selection", "tracking", "feasibility"} | {"optimizer"},
     {"planner"},
-    {"viz", "io", "interception", "scenario", "replanner", "metrics", "training", "reference"} | {"runtime", "mavlink"},
+    {"viz", "io", "interception", "scenario", "replanner", "metrics", "training", "reference"} | {"runtime", "mavlink", "device"},
     {"runner"},
     {"cli", "experiments", "benchmarks", "tools", "jaxplan"},
 ]
@@ -55,6 +55,9 @@ SIBLINGS = {
     ("runtime", "replanner"),
     ("runtime", "scenario"),
     ("interception", "runtime"),
+    ("device", "interception"),
+    ("device", "io"),
+    ("device", "replanner"),
     ("viz", "io"),
     ("mavlink", "runtime"),
     ("mavlink", "replanner"),

@@ -129,11 +129,13 @@ def _places_that_see(
 
 
 def _least(keys: Float[Array, "k n"], count: int) -> tuple[Float[Array, "k c"], Int[Array, "k c"]]:
-    """The least keys of each row in order, and where they are; a single one is found without sorting."""
-    if count == 1:
-        return jnp.min(keys, axis=1, keepdims=True), jnp.argmin(keys, axis=1, keepdims=True).astype(jnp.int32)
-    least, places = jax.lax.top_k(-keys, count)
-    return -least, places.astype(jnp.int32)
+    """The least keys of each row in order, and where they are: a few passes cost less than sorting whole rows."""
+    least, places = [], []
+    for _ in range(count):
+        least.append(jnp.min(keys, axis=1))
+        places.append(jnp.argmin(keys, axis=1).astype(jnp.int32))
+        keys = jnp.where(keys > least[-1][:, None], keys, jnp.inf)
+    return jnp.stack(least, axis=1), jnp.stack(places, axis=1)
 
 
 def _joined_early(room: Room, points: Float[Array, "k l 3"]) -> Float[Array, "k l 3"]:
