@@ -16,7 +16,8 @@ LAYERS = [
     {"minsnap", "vehicle", "world"},
     {"prediction", "search", "knots", "policy", "arrival", "selection", "tracking", "feasibility"} | {"optimizer"},
     {"planner"},
-    {"viz", "io", "interception", "scenario", "replanner", "metrics", "training", "reference"} | {"runtime", "mavlink", "device"},
+    {"viz", "io", "interception", "scenario", "replanner", "metrics", "training", "reference"}
+    | {"runtime", "mavlink", "device"},
     {"runner"},
     {"cli", "experiments", "benchmarks", "tools", "jaxplan"},
 ]

@@ -30,6 +30,7 @@ NAV: list[Any] = [
             "plant.md",
             "safety.md",
             "runtime.md",
+            "device.md",
             "view.md",
             "mavlink.md",
             "firmware.md",
