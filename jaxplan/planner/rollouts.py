@@ -49,7 +49,7 @@ class RolloutConfig:
     """Largest distance [m] from the plan at which it counts as followed (arbitrary)."""
     most_twist: float = 0.6
     """Largest turn [rad] about body z from what the plan demands (three quarters of where an episode is lost)."""
-    whole_share: float = 0.9
+    whole_share: float = 0.8
     """Largest distance [m] from a refined plan, flown from its own start to its end, as a share of the error with which
     a flight of such a vehicle counts as held (docs/decisions/0050)."""
     whole_twist: float = 0.4
