@@ -40,7 +40,8 @@ def draw_arena(marks: list[Mark], path: Path) -> None:
     axes.set_xticks(range(len(columns)), [f"{level}" for _, level in columns])
     for family in dict.fromkeys(family for family, _ in columns):
         places = [place for place, (other, _) in enumerate(columns) if other == family]
-        axes.text(float(np.mean(places)), -0.75, family, ha="center", va="bottom", fontsize=9)
+        place = float(np.mean(places)), -0.5
+        axes.annotate(family, place, (0, 4), textcoords="offset points", ha="center", va="bottom", fontsize=9)
         axes.axvline(places[-1] + 0.5, color="white", linewidth=3)
     axes.set_xlabel("level")
     axes.set_title("share of targets met [%]", pad=22, fontsize=10)
