@@ -76,6 +76,8 @@ class RolloutConfig:
 class Rollouts:
     """What became of plans in the model, until ``RolloutConfig.ahead`` from now."""
 
+    positions: Float[np.ndarray, "k m 3"]
+    """Where the model is [m, world], ``LOOKED_AT`` control steps after one another; the first so long from now."""
     clearance: Float[np.ndarray, "k"]
     """The least free distance of the flown positions [m]."""
     error: Float[np.ndarray, "k"]
@@ -168,6 +170,7 @@ class Rollout:
         clearance = self._room.free_distance(positions).min(axis=1)
         config = self.config
         return Rollouts(
+            positions=positions,
             clearance=clearance,
             error=flown.error,
             twist=flown.twist,

@@ -1,9 +1,9 @@
 """The loop around the planner: what is committed, when it is replaced, and what happens when things go wrong.
 
-``loop`` goes round, cycle by cycle; ``decision`` chooses among what a cycle has planned; ``committed`` holds the plans
-and is the reference that the vehicle flies; ``incumbent`` says what the committed plan is still worth, ``measured``
-where the next plan begins if the vehicle is off its reference, ``passing`` what is kept from boxes that move;
-``records`` names what goes in and out.
+``loop`` goes round, cycle by cycle; ``decision`` chooses among what a cycle has planned, ``stopping`` among stops;
+``committed`` holds the plans and is the reference that the vehicle flies; ``incumbent`` says what the committed plan is
+still worth, ``measured`` where the next plan begins if the vehicle is off its reference, ``passing`` what is kept from
+boxes that move; ``records`` names what goes in and out.
 """
 
 from jaxplan.replanner.loop import Replanner

@@ -1,15 +1,19 @@
-"""Where a cycle's plans begin, what it chooses among them, and from what a refinement of that begins."""
+"""What a cycle knows when it decides, what it chooses, and from what a refinement of that begins."""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxplan.planner import Approaches, Corrections, Plans, Prospect, Refined, Seed, Stops
+from jaxplan.planner import Approaches, Corrections, Plans, Prospect, Refined, Rollouts, Seed, Stops
 from jaxplan.prediction.candidates import Candidates
+from jaxplan.replanner.ahead import Ahead
+from jaxplan.replanner.governor import Lag
 from jaxplan.replanner.incumbent import Incumbent
+from jaxplan.replanner.passing import Passing
 from jaxplan.replanner.records import CommittedPlan
 from jaxplan.spline import FlatState, PiecewisePolynomial
+from jaxplan.status import PlanStatus
 
 
 class Start(NamedTuple):
@@ -42,6 +46,38 @@ class Chosen(NamedTuple):
     """Which one it is for; -1 for what is no candidate's own."""
     sooner: float = 0.0
     """By how much a refinement made it sooner [s]."""
+
+
+Outcome = tuple[PlanStatus, Chosen | None]
+"""What the cycle came to, and what is committed."""
+
+
+class Known(NamedTuple):
+    """What a cycle knows when it decides."""
+
+    start: Start
+    candidates: Candidates
+    """Times count from the start."""
+    prospect: Prospect | None
+    """The target's futures, where plans are compared by them."""
+    committed: CommittedPlan
+    certain: bool
+    """Whether the committed plan is known to be clear, and the vehicle on it."""
+    ahead: Ahead | None = None
+    """The model of the vehicle, where it is measured."""
+    passing: Passing | None = None
+    """What moves, where that is known."""
+    lag: Lag | None = None
+    """Of the vehicle behind the committed plan, where it has fallen behind."""
+
+    @property
+    def since(self) -> float:
+        """Time of the committed plan's own [s] at the start."""
+        return self.start.takeover - self.committed.start_time
+
+    def is_passed_by(self, flown: Rollouts) -> bool:
+        """Whether the model, along a plan, is not hit by what moves."""
+        return self.passing is None or bool(self.passing.flown(flown)[0] >= self.passing.least)
 
 
 def chosen_from(

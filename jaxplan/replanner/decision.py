@@ -11,41 +11,34 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxplan.planner import (
-    HITS,
-    NEARLY,
     Approaches,
     Corrections,
-    Fault,
     Planner,
     Plans,
     Prospect,
     Refined,
-    Rollouts,
     Seed,
     Stops,
     Timer,
     capture_time,
     capture_times,
     expected_goals,
-    select_stop,
 )
-from jaxplan.prediction.candidates import Candidates
-from jaxplan.records import replace
-from jaxplan.replanner.ahead import Ahead
 from jaxplan.replanner.choice import (
     Chosen,
-    Start,
+    Known,
+    Outcome,
     chosen_from,
     chosen_refined,
     seed_of_committed,
     seed_of_plan,
     seed_towards,
 )
-from jaxplan.replanner.governor import Lag, slower
+from jaxplan.replanner.governor import slower
 from jaxplan.replanner.incumbent import NO_INCUMBENT, Incumbent, incumbent_among
 from jaxplan.replanner.pace import Pace
-from jaxplan.replanner.passing import Passing
-from jaxplan.replanner.records import CommittedPlan, ReplannerConfig
+from jaxplan.replanner.records import ReplannerConfig
+from jaxplan.replanner.stopping import stop_for
 from jaxplan.replanner.vain import Vain
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import PlanStatus, Reason
@@ -54,16 +47,6 @@ LOOKED_AT = 4
 """Plans of a kind that a cycle takes a last look at (arbitrary: more than one is hardly ever refused)."""
 APPROACHED = (0.5, 0.9, 1.4, 2.0)
 """Seconds from the start after which the target is expected where it is approached (arbitrary)."""
-
-STOPPING = (PlanStatus.BRAKE, PlanStatus.RECOVER, PlanStatus.BLOCKED)
-"""Committed plans that are stops."""
-FARTHER = 0.02
-"""m; how much farther from obstacles the model must stay along a stop than along a committed plan that is clear itself
-(arbitrary)."""
-
-Outcome = tuple[PlanStatus, Chosen | None]
-"""What the cycle came to, and what is committed."""
-
 
 Flights = Plans | Approaches | Corrections | Stops
 """Trajectories that were solved and checked."""
@@ -77,30 +60,6 @@ class _Rival(NamedTuple):
     status: PlanStatus
     chosen: Chosen | None
     """None: the committed plan."""
-
-
-class Known(NamedTuple):
-    """What a cycle knows when it decides."""
-
-    start: Start
-    candidates: Candidates
-    """Times count from the start."""
-    prospect: Prospect | None
-    """The target's futures, where plans are compared by them."""
-    committed: CommittedPlan
-    certain: bool
-    """Whether the committed plan is known to be clear, and the vehicle on it."""
-    ahead: Ahead | None = None
-    """The model of the vehicle, where it is measured."""
-    passing: Passing | None = None
-    """What moves, where that is known."""
-    lag: Lag | None = None
-    """Of the vehicle behind the committed plan, where it has fallen behind."""
-
-    @property
-    def since(self) -> float:
-        """Time of the committed plan's own [s] at the start."""
-        return self.start.takeover - self.committed.start_time
 
 
 class Memory(NamedTuple):
@@ -129,24 +88,8 @@ class Decision:
         return self._by_score(plans) if prospect is None else self._by_capture(plans, prospect)
 
     def stop(self, status: PlanStatus) -> Outcome:
-        """What ``select_stop`` takes; where none is clear, only if the committed plan hits harder, or goes nearer."""
-        start, committed, ahead = self._known.start, self._known.committed, self._known.ahead
-        stops = self._planner.brake(start.state, committed.spline, self._known.since, aside=True)
-        flown = None if ahead is None else ahead.along(stops.splines, start.takeover)
-        stops, flown = self._passed(stops, flown)
-        best = select_stop(stops, flown)
-        clear = best >= 0 and not stops.reasons[best] & np.uint32(HITS)
-        if clear and (flown is None or flown.clear[best]):
-            kept = flown is not None and self._stops_as_well(float(flown.astray[best]))
-            return status, None if kept else chosen_from(stops, best, np.nan)
-        hit = self._planner.impact(committed.spline, self._known.since)
-        softer = best >= 0 and (stops.impact[best] < hit or (start.measured and stops.impact[best] == 0.0))
-        if ahead is not None and flown is not None and hit == 0.0:
-            farther = float(ahead.committed.clearance[0])
-            if self._known.passing is not None:
-                farther = min(farther, self._known.passing.nearest)
-            softer = best >= 0 and bool(flown.clearance[best] > farther + FARTHER)
-        return PlanStatus.BLOCKED, chosen_from(stops, best, np.nan) if softer else None
+        """What ``stop_for`` takes."""
+        return stop_for(self._planner, self._known, status)
 
     def governed(self, outcome: Outcome) -> Outcome:
         """What is committed, slower, where the vehicle has fallen behind it and no other interception is found."""
@@ -155,35 +98,12 @@ class Decision:
             return outcome
         committed = known.committed
         for spline, slowdown in slower(committed.spline, known.lag):
-            clear = known.ahead is None or known.ahead.along(spline, known.start.takeover).clear[0]
+            flown = None if known.ahead is None else known.ahead.along(spline, known.start.takeover)
+            clear = flown is None or (flown.clear[0] and known.is_passed_by(flown))
             if clear and self._is_valid(spline, None, 0.0):
                 arrival = slowdown * (committed.arrival_time - committed.start_time - known.lag.since)
                 return PlanStatus.SLOWED, Chosen(spline, committed.goal, arrival, slowdown, np.nan)
         return outcome
-
-    def _passed(self, stops: Stops, flown: Rollouts | None) -> tuple[Stops, Rollouts | None]:
-        """Stops, and their flights in the model, that are not clear where something that moves hits them."""
-        passing = self._known.passing
-        if passing is None:
-            return stops, flown
-        apart = passing.along(stops.splines, self._known.start.takeover)
-        good = apart >= passing.keep
-        stops = replace(stops, reasons=stops.reasons | np.where(good, np.uint32(0), np.uint32(Reason.CLEARANCE)))
-        if flown is not None:
-            flown = replace(flown, clear=flown.clear & good, clearance=np.minimum(flown.clearance, apart))
-        return stops, flown
-
-    def _stops_as_well(self, astray: float) -> bool:
-        """Whether what is committed is a stop that is clear, and followed hardly worse than another, so far [m].
-
-        Another one would only begin later.
-        """
-        known, ahead = self._known, self._known.ahead
-        if ahead is None or known.start.measured or known.committed.status not in STOPPING:
-            return False
-        clear = ahead.committed.clear[0] and (known.passing is None or known.passing.is_kept)
-        faults = self._planner.validate(known.committed.spline, known.since).faults
-        return bool(clear and not faults & Fault.CLEARANCE and ahead.committed.astray[0] <= astray + NEARLY)
 
     def _incumbent(self) -> Incumbent:
         """What the committed plan is worth; nothing where it is not clear, or the vehicle not on it."""
@@ -318,14 +238,14 @@ class Decision:
         if ahead is None:
             return True
         flown = ahead.along(spline, start.takeover)
-        return bool(flown.clear[0] and flown.followed[0])
+        return bool(flown.clear[0] and flown.followed[0]) and self._known.is_passed_by(flown)
 
     def _is_valid(self, spline: PiecewisePolynomial, state: FlatState | None, wider: float) -> bool:
         """The last look at a plan, which begins in ``state`` where that is given, and at what moves."""
         if self._planner.validate(spline, 0.0, state, wider).faults:
             return False
-        passing = self._known.passing
-        return passing is None or bool(passing.along(spline, self._known.start.takeover)[0] >= passing.keep)
+        passing, takeover = self._known.passing, self._known.start.takeover
+        return passing is None or bool(passing.along(spline, takeover)[0] >= passing.wanted(takeover))
 
 
 def _worth(prospect: Prospect, among: Flights) -> Float[np.ndarray, "k"]:

@@ -25,9 +25,9 @@ from jaxplan.prediction.candidates import later
 from jaxplan.prediction.observations import Observations, usual_observations
 from jaxplan.prediction.protocol import Predictor
 from jaxplan.replanner.ahead import Ahead, look_ahead
-from jaxplan.replanner.choice import Chosen, Start
+from jaxplan.replanner.choice import Chosen, Known, Start
 from jaxplan.replanner.committed import CommittedPlans, hold
-from jaxplan.replanner.decision import Decision, Known, Memory
+from jaxplan.replanner.decision import Decision, Memory
 from jaxplan.replanner.governor import Lag, lag_behind
 from jaxplan.replanner.measured import carried_on, heading_near, turn_from, usual_measured
 from jaxplan.replanner.pace import Pace

@@ -8,18 +8,21 @@ box has to leave, although nothing touches it yet.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxplan.errors import InputError
 from jaxplan.minsnap.spline_batch import SplineBatch
-from jaxplan.planner import sampled
+from jaxplan.planner import Rollouts, sampled
+from jaxplan.planner.rollouts import LOOKED_AT
 from jaxplan.replanner.committed import CommittedPlans
 from jaxplan.spline import PiecewisePolynomial
+from jaxplan.tracking.rates import CONTROL_RATE
 from jaxplan.validation import as_shaped
 
 LESS = 0.1
 """m; how much nearer a committed plan may come before it is given up: ways that are foreseen anew in each cycle are
-never quite the same (arbitrary)."""
+never quite the same (arbitrary). So much nearer may the model come, too, which strays from its plan, and a plan that
+begins where the vehicle is nearer already than it is to keep."""
 
 
 class Ways(NamedTuple):
@@ -52,26 +55,42 @@ class Passing:
     def __init__(self, ways: Ways, committed: CommittedPlans, now: float) -> None:
         later = ways.times >= now
         self._ways = Ways(ways.times[later], ways.lower[:, later], ways.upper[:, later], ways.keep)
-        self._kept = np.asarray(committed.reference(self._ways.times).pos)
-        self.keep = ways.keep
-        """[m]"""
+        self._now, self._kept = now, np.asarray(committed.reference(self._ways.times).pos)
+        self.keep, self.least = ways.keep, ways.keep - LESS
+        """What plans keep, and what is kept at least, by what is committed and by the model of the vehicle [m]."""
         self.nearest = float(self._apart(self._kept[None])[0])
         """Least distance [m] of what is committed already."""
 
     @property
     def is_kept(self) -> bool:
         """Whether what is committed is clear enough to be kept."""
-        return self.nearest >= self.keep - LESS
+        return self.nearest >= self.least
+
+    def wanted(self, takeover: float) -> float:
+        """What a plan is to keep [m] that takes over at ``takeover`` [s]: less where the vehicle is nearer by then."""
+        before = self._ways.times <= takeover
+        return self.keep if self._apart(self._kept[None, before], before)[0] >= self.keep else self.least
 
     def along(self, splines: SplineBatch | PiecewisePolynomial, takeover: float) -> Float[np.ndarray, "k"]:
         """The same for plans that take over at ``takeover`` [s]; until then what is committed is flown."""
         positions = np.asarray(sampled(splines, self._ways.times - takeover).pos)
         return self._apart(np.where((self._ways.times < takeover)[:, None], self._kept, positions))
 
-    def _apart(self, positions: Float[np.ndarray, "k n 3"]) -> Float[np.ndarray, "k"]:
-        """Least distance [m] from all boxes at all instants; inf where there is nothing, -inf for what is NaN."""
+    def flown(self, rollouts: Rollouts) -> Float[np.ndarray, "k"]:
+        """The same for where the model of the vehicle comes along plans, as long as it flies them."""
+        at = (self._ways.times - self._now) * CONTROL_RATE / LOOKED_AT - 1.0
+        inside = (at >= 0.0) & (at <= rollouts.positions.shape[1] - 1)
+        before, after = np.floor(at[inside]).astype(int), np.ceil(at[inside]).astype(int)
+        share = (at[inside] - before)[:, None]
+        positions = (1.0 - share) * rollouts.positions[:, before] + share * rollouts.positions[:, after]
+        return self._apart(positions, inside)
+
+    def _apart(
+        self, positions: Float[np.ndarray, "k n 3"], instants: Bool[np.ndarray, "m"] | slice = slice(None)
+    ) -> Float[np.ndarray, "k"]:
+        """Least distance [m] from all boxes at these instants; inf where there is nothing, -inf for what is NaN."""
         least = np.full(len(positions), np.inf)
-        for lower, upper in zip(self._ways.lower, self._ways.upper, strict=True):
+        for lower, upper in zip(self._ways.lower[:, instants], self._ways.upper[:, instants], strict=True):
             beyond = np.maximum(np.maximum(lower - positions, positions - upper), 0.0)
             least = np.minimum(least, np.sqrt((beyond**2).sum(axis=2)).min(axis=1, initial=np.inf))
         return np.asarray(np.where(np.isnan(least), -np.inf, least))

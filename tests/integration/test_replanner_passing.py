@@ -5,11 +5,11 @@ import pytest
 
 from jaxplan.compilation import compilations
 from jaxplan.errors import InputError
-from jaxplan.planner import Fault, build_planner
+from jaxplan.planner import HITS, Fault, Rollout, Rollouts, build_planner
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
 from jaxplan.prediction.observations import first_observation
-from jaxplan.replanner import Replanner, Ways
+from jaxplan.replanner import Measured, Replanner, Ways
 from jaxplan.replanner.committed import CommittedPlans, hold
 from jaxplan.replanner.passing import Passing
 from jaxplan.spline import FlatState, hover
@@ -133,6 +133,90 @@ def test_slow_vehicles_step_aside_and_fast_ones_do_not(planner):
     assert (more.reasons[len(usual.goals) :] == 0).any()
     fast = FlatState(derivatives=np.vstack([START, [5.0, 0.0, 0.0], np.zeros((3, 3))]), yaw=np.zeros(3))
     assert len(planner.brake(fast).goals) == len(planner.brake(fast, aside=True).goals)
+
+
+def resting(gap, velocity=0.0, now=0.0):
+    """A large box beside the hover, so far away [m] now, that comes nearer along x [m/s]."""
+    times = now + np.arange(0.0, 1.8, 0.025)
+    lower = START + np.array([gap, -3.0, -3.0]) - times[:, None] * np.array([velocity, 0.0, 0.0])
+    return Ways(times, lower[None], (lower + np.array([1.0, 6.0, 6.0]))[None], KEEP)
+
+
+def test_who_let_something_pass_nearer_than_plans_keep_leaves_when_more_comes(planner):
+    """What is committed may be 0.1 m nearer than new plans are to be; stops from there are clear all the same."""
+    replanner = Replanner(planner, nowhere, hover(START))
+    replanner.expect(resting(0.28))
+    assert replanner.step(0.0, first_observation(0.0, START)).status not in (PlanStatus.BRAKE, PlanStatus.BLOCKED)
+    replanner.expect(resting(0.28, 0.05))
+    assert replanner.step(0.0, first_observation(0.0, START)).status is PlanStatus.BRAKE
+    times = np.arange(0.0, 3.0, 0.01)
+    assert replanner.reference(times).pos[-1, 0] < START[0]
+
+
+@pytest.mark.parametrize(("gap", "taken"), [(0.4, True), (0.28, True), (0.2, False)])
+def test_plans_begin_where_the_vehicle_is_nearer_than_they_are_to_keep(planner, gap, taken):
+    def along(observations, cycle):
+        goal = START + np.array([0.0, 1.5, 0.0])
+        return candidates_from(goal, goal[None], np.array([2.0]), np.zeros(1))
+
+    assert planner.plan_batch(hover(START), along(None, 0)).reasons[0] == 0
+    replanner = Replanner(planner, along, hover(START))
+    replanner.expect(resting(gap))
+    assert (replanner.step(0.0, first_observation(0.0, START)).status is PlanStatus.INTERCEPT) == taken
+
+
+class Model(Rollout):
+    """A model that comes to given places [m from the start], and follows some of many plans."""
+
+    config = CONFIG.rollouts
+
+    def __init__(self, committed, others, followed=None):
+        self._committed, self._others, self._followed = committed, others, followed
+
+    def along(self, references, since=0):
+        count = len(references.yaw)
+        place, alone = (self._committed, True) if count == 1 else (self._others, False)
+        positions = np.tile(START + place, (count, 75, 1))
+        same = dict.fromkeys(("clearance", "error", "twist"), np.full(count, 0.5))
+        followed = np.full(count, True) if alone or self._followed is None else np.arange(count) == self._followed
+        return Rollouts(positions=positions, clear=np.full(count, True), followed=followed, **same)
+
+
+HERE = Measured(START, np.zeros(3), np.zeros(3))
+
+
+@pytest.mark.parametrize(("place", "status"), [(-0.5, PlanStatus.BRAKE), (0.5, PlanStatus.BLOCKED)])
+def test_stops_are_clear_where_the_vehicle_comes_along_them(planner, place, status):
+    """Plans keep away from a box; the model of the vehicle does, or strays into it."""
+    model = Model(np.zeros(3), np.array([place, 0.0, 0.0]))
+    replanner = Replanner(planner._replace(roll_out=lambda *_: model), nowhere, hover(START))
+    replanner.expect(resting(0.5, 0.25))
+    assert replanner.step(0.0, first_observation(0.0, START), HERE).status is status
+
+
+def test_where_all_are_hit_one_that_is_followed_is_taken(planner):
+    stops = planner.brake(hover(START), hold(hover(START)).spline, 0.0, aside=True)
+    away = (stops.goals[:, 0] < START[0] - 0.1) & ((stops.reasons & np.uint32(HITS)) == 0)
+    only = int(np.flatnonzero(away)[-1])
+    model = Model(np.array([0.3, 0.0, 0.0]), np.zeros(3), only)
+    replanner = Replanner(planner._replace(roll_out=lambda *_: model), nowhere, hover(START))
+    replanner.expect(resting(0.2))
+    assert replanner.step(0.0, first_observation(0.0, START), HERE).status is PlanStatus.BLOCKED
+    np.testing.assert_allclose(replanner.committed.goal, stops.goals[only], **tolerance("formula"))
+
+
+def test_flown_places_are_compared_with_boxes_at_their_own_instants(planner):
+    rng, times = np.random.default_rng(0), 0.01 * np.arange(1, 151)
+    ways = sliding(START + rng.normal(size=3), rng.normal(size=3))
+    velocity = rng.normal(size=(4, 1, 3))
+    same, masks = dict.fromkeys(("clearance", "error", "twist"), np.zeros(4)), np.ones(4, bool)
+    flown = Rollouts(positions=START + times[:, None] * velocity, clear=masks, followed=masks, **same)
+    until = ways.times <= times[-1]
+    shown = Ways(ways.times[until], ways.lower[:, until], ways.upper[:, until], KEEP)
+    found = Passing(ways, CommittedPlans(hold(hover(START))), 0.0).flown(flown)
+    for one, speed in zip(found, velocity, strict=True):
+        later = shown._replace(times=shown.times[1:], lower=shown.lower[:, 1:], upper=shown.upper[:, 1:])
+        np.testing.assert_allclose(one, apart(later, START + later.times[:, None] * speed), **tolerance("solve"))
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,8 @@ class Sceptic(Rollout):
         clear, followed = self._answers.pop() if self._answers else self._others
         count = len(references.yaw)
         same = dict.fromkeys(("clearance", "error", "twist"), np.full(count, 0.5))
-        return Rollouts(clear=np.full(count, clear), followed=np.full(count, followed), **same)
+        masks = {"clear": np.full(count, clear), "followed": np.full(count, followed)}
+        return Rollouts(positions=np.zeros((count, 1, 3)), **masks, **same)
 
 
 def believing(planner, committed, others):
@@ -112,7 +113,8 @@ def test_of_flown_stops_the_gentlest_is_taken_that_is_followed_and_clear(planner
     def of(reasons, clear, followed, error=1.0 * order, clearance=1.0 * order):
         kinds = replace(stops, reasons=np.resize(np.asarray(reasons, np.uint32), count))
         masks = {"clear": np.resize(clear, count), "followed": np.resize(followed, count)}
-        return select_stop(kinds, Rollouts(clearance=clearance, error=error, twist=np.zeros(count), **masks))
+        where = {"positions": np.zeros((count, 1, 3)), "twist": np.zeros(count)}
+        return select_stop(kinds, Rollouts(clearance=clearance, error=error, **where, **masks))
 
     last = count - 1
     first = np.arange(count) < 5
