@@ -6,3 +6,9 @@ places, ``paths`` reads shortest ways off it, ``replan`` goes from goals to the 
 the goals, ``episodes`` is one period of a closed loop, and ``runner`` flies many loops at once. Knots, network, arrival
 times, minimum snap, checks and plant are those of the other packages.
 """
+
+from jaxplan.device.replan import Decision, ReplanConfig, build_replan
+from jaxplan.device.room import Room, room_of
+from jaxplan.device.stations import Goals
+
+__all__ = ["Decision", "Goals", "ReplanConfig", "Room", "build_replan", "room_of"]

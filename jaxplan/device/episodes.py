@@ -34,7 +34,7 @@ from jaxplan.tracking.rates import CONTROL_RATE
 from jaxplan.tracking.result import SUCCESS, Thresholds
 from jaxplan.tracking.rollout import FlightLog, Plant
 from jaxplan.vehicle.params import Vehicle
-from jaxplan.world.clearance import free_distance
+from jaxplan.world.clearance import free_distance_at_once
 
 
 class Ended(enum.IntEnum):
@@ -173,7 +173,7 @@ def build_loop(
         goals = goals._replace(times=goals.times - latency)
         above = _incumbent(config, scene, state.plan, goals, takeover)
         decision = replan(scene.room, _references(state.plan, takeover), goals, above)
-        plan, changed = _next(state.plan, decision, goals, takeover, above)
+        plan, changed = _next(decision, goals, takeover, above)
         rows = state.step + jnp.arange(config.period + 1, dtype=jnp.int32)
         flown, log = plant.fly(state.plant, _references(state.plan, rows))
         tally = _judged(config, vehicle, scene.room, episode, state.tally, rows[1:], log)
@@ -253,7 +253,7 @@ def _incumbent(
 
 
 def _next(
-    plan: Plan, decision: Decision, goals: Goals, takeover: Int[Array, ""], above: Float[Array, ""]
+    decision: Decision, goals: Goals, takeover: Int[Array, ""], above: Float[Array, ""]
 ) -> tuple[Plan, Bool[Array, ""]]:
     """The plan from the next cycle on, and whether it is another one: a better meeting, or an approach without any."""
     changed = decision.found | (decision.approaches & ~(above > -jnp.inf))
@@ -262,7 +262,7 @@ def _next(
         position=decision.spline.position[..., 0],
         yaw=decision.spline.yaw[:, :, 0, 0],
     )
-    arrival = _seconds(takeover, plan.arrival.dtype) + decision.arrival_time
+    arrival = _seconds(takeover, decision.arrival_time.dtype) + decision.arrival_time
     return Plan(takeover, spline, jnp.asarray(goals.positions)[decision.candidate], arrival, decision.found), changed
 
 
@@ -278,7 +278,7 @@ def _judged(
     """The tally after one period's rows, up to the first that decides; failure comes before success."""
     dtype = tally.end.dtype
     apart = safe_norm(jnp.asarray(log.pos, dtype) - _target_at(episode, steps))
-    free = free_distance(room.world, jnp.asarray(log.pos, jnp.float32)).astype(dtype)
+    free = free_distance_at_once(room.world, jnp.asarray(log.pos, jnp.float32)).astype(dtype)
     off, turned = jnp.asarray(log.position_error, dtype), jnp.asarray(log.yaw_error, dtype)
     tracked = (off < config.lost_beyond.position) & (turned < config.lost_beyond.yaw)
     clear = free >= jnp.asarray(vehicle.radius, dtype)

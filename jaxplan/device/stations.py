@@ -23,7 +23,7 @@ from jaxplan.selection import Margins, check_clearance, check_flight
 from jaxplan.spline import FlatState
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.reach import reach
-from jaxplan.world.clearance import clearance_at_once, wall_clearance
+from jaxplan.world.clearance import clearance_at_once, free_distance_at_once
 from jaxplan.world.obstacles import World
 
 
@@ -130,14 +130,10 @@ class Stations:
         world = _in_precision_of(room.world, durations)
         flown = check_flight(splines, some.samples, self._vehicle, planner.checks, probability)
         finer = dataclasses.replace(planner.checks, samples_per_segment=self._pieces)
-        margins = check_clearance(flown, splines, world, self._vehicle, finer, _free_distance)
+        margins = check_clearance(flown, splines, world, self._vehicle, finer, free_distance_at_once)
         covered = jnp.sum(safe_norm(jnp.diff(some.samples, axis=0), axis=1), axis=0)
         left_out = jnp.where(some.routes.whole, 1.0, some.length / jnp.maximum(covered, 1e-9))
         return Tried(splines, margins, alpha, jnp.asarray(time_to(durations, some.routes.meet)) * left_out)
-
-
-def _free_distance(world: World, points: Float[AnyArray, "*n 3"], /) -> Float[Array, "*n"]:
-    return jnp.minimum(clearance_at_once(world, points), wall_clearance(world, points))
 
 
 def _in_precision_of(world: World, like: Float[Array, "*n"]) -> World:

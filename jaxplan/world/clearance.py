@@ -120,6 +120,11 @@ def clearance_at_once(world: World, points: Float[AnyArray, "*batch 3"]) -> Floa
     return functools.reduce(jnp.minimum, (_grid_distance(grid, p) for grid in grids), _signed(nearest))
 
 
+def free_distance_at_once(world: World, points: Float[AnyArray, "*batch 3"], /) -> Float[Array, "*batch"]:
+    """``free_distance`` likewise."""
+    return jnp.minimum(clearance_at_once(world, points), wall_clearance(world, points))
+
+
 def _kinds_of(obstacles: Obstacles) -> tuple:
     """The primitives, in the order of ``_DISTANCES``."""
     return obstacles.boxes, obstacles.cylinders, obstacles.planes, obstacles.spheres, obstacles.capsules

@@ -84,7 +84,7 @@ def test_no_flights_and_no_width_are_refused(runner: Runner) -> None:
 
 def test_the_table_is_made_of_them(tmp_path: Path, runner: Runner) -> None:
     words = "experiment table1 --preset small --worlds env1 --planners mfrl --predictors ground-truth constant-velocity"
-    words += f" --episodes 4 --device cpu --batch 4 --speeds 2 3 --departures 0.5 1 --out {tmp_path}"
+    words += f" --episodes 4 --device cpu --batch 4 --speeds 0.5 3 --departures 0.5 1 --out {tmp_path}"
     assert run(words.split()) == 0
     rows = list(csv.DictReader((tmp_path / "results.csv").read_text().splitlines()))
     assert len(rows) == 8
