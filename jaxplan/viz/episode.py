@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 DEFENDER, TARGET, USABLE, REJECTED, MARK = "#0072B2", "#D55E00", "#009E73", "#8a8a8a", "#F0E442"
 
 COMMITTED = "#004D38"
+QUARRY: dict[str, Any] = {"marker": "s", "ls": "none", "color": TARGET, "markeredgecolor": "white", "ms": 7}
 STOP: dict[str, Any] = {"marker": "P", "ls": "none", "color": COMMITTED, "markeredgecolor": "white", "ms": 8}
 
 POSITION_LIMIT, YAW_LIMIT = SUCCESS.position, math.degrees(SUCCESS.yaw)
@@ -107,7 +108,7 @@ def _draw_view(axes: Axes, episode: "Episode", shown: CandidateCurves | None, ac
     axes.plot(flown[:, first], flown[:, second], color=DEFENDER, linewidth=2.6, zorder=6)
     for path, colour in ((target, TARGET), (flown, DEFENDER)):
         axes.plot(path[0, first], path[0, second], "o", color="white", markeredgecolor=colour, mew=2, ms=8, zorder=7)
-    axes.plot(target[-1, first], target[-1, second], "s", color=TARGET, markeredgecolor="white", ms=7, zorder=7.5)
+    axes.plot(target[-1, first], target[-1, second], **QUARRY, zorder=7.5)
     axes.plot(flown[-1, first], flown[-1, second], **_end_marker(episode), zorder=8)
     lower, upper = np.asarray(episode.scenario.world.bounds, dtype=float)
     margin = MARGIN * (upper - lower)
@@ -198,6 +199,7 @@ def _draw_legend(axes: Axes, episode: "Episode", shown: CandidateCurves | None, 
         (Line2D([], [], color=TARGET, lw=2.2, ls=(0, (5, 1.5))), "target"),
         (Line2D([], [], marker="o", ls="none", color="white", markeredgecolor=EDGE, mew=2, ms=8), "start"),
         (Line2D([], [], markersize=13, **end), "interception" if episode.success else "end"),
+        (Line2D([], [], **QUARRY), "target then"),
         (Patch(facecolor=FILL, edgecolor=EDGE), "obstacle, cut at the end's level"),
     ]
     if shown is not None:
