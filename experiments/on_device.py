@@ -2,7 +2,7 @@
 
 import contextlib
 import functools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -34,7 +34,7 @@ DeviceName = Literal["host", "cpu", "gpu"]
 PLANNERS = ("no-policy", "pretrained", "mfrl")
 """Planners whose times a traced function allots."""
 AT_ONCE_ON_GPU = 8
-"""Places of a roadmap that are tried for each goal at a time there (measured)."""
+"""Places of a roadmap that are tried for each goal at a time there (arbitrary)."""
 
 
 def device_named(name: DeviceName) -> jax.Device:
@@ -59,29 +59,21 @@ def check_names(planners: Sequence[str], predictors: Sequence[str]) -> None:
             raise InputError(f"--predictors: have {predictor!r}, and on a device only {known}, noisy-S are asked")
 
 
-def fly_together(
-    episodes: Sequence[EpisodeConfig],
-    device: DeviceName,
-    batch: int,
-    told: Callable[[int], None] = lambda ended: None,
-) -> list[dict[str, Any]]:
-    """Fly episodes of one defender; rows as ``closed_loop.numbers`` has them, without what only plans there have.
+def fly_together(episodes: Sequence[EpisodeConfig], device: DeviceName, batch: int) -> list[dict[str, Any]]:
+    """Fly episodes of one defender; rows as ``closed_loop.numbers`` has them, but what needs whole flights.
 
     Those of one world whose predictors propose as many goals are flown together, at most ``batch`` at a time.
     """
     rows: list[dict[str, Any]] = [{} for _ in episodes]
     defender = _defender(episodes[0])
-    done = 0
     with jax.default_device(device_named(device)):
         for members in groups(episodes):
             some = [episodes[member] for member in members]
             predictors = tuple(dict.fromkeys(episode.predictor for episode in some))
             manned = crew(defender, _shared(predictors), min(batch, _widest(episodes)), device)
             flights = [_flight(episode, manned.predictors.index(episode.predictor)) for episode in some]
-            before = done
             with _explained(batch):
-                outcomes = manned.runner.fly(scene(defender, some[0].world), flights, lambda n, b=before: told(b + n))
-            done += len(some)
+                outcomes = manned.runner.fly(scene(defender, some[0].world), flights)
             for member, episode, outcome in zip(members, some, outcomes, strict=True):
                 rows[member] = _row(episode, outcome)
     return rows
@@ -154,6 +146,7 @@ def crew(defender: Defender, predictors: tuple[str, ...], width: int, device: De
 
 
 def planner_config_of(defender: Defender) -> PlannerConfig:
+    """As the planner on the host has it; the same in every stored world."""
     return planner_config(settings_of("env1", defender))
 
 
@@ -192,7 +185,6 @@ def _row(episode: EpisodeConfig, outcome: Outcome) -> dict[str, Any]:
     met = outcome.outcome == "intercepted"
     return {
         "outcome": outcome.outcome,
-        "singular": False,
         "time_to_intercept_s": outcome.end_time - episode.departure if met else None,
         "end_time_s": outcome.end_time,
         "min_distance_m": outcome.min_distance,

@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -78,12 +78,10 @@ class Runner:
         self._refill = jax.jit(_refilled)
 
     @in_float64
-    def fly(
-        self, scene: Scene, flights: Sequence[Flight], told: Callable[[int], None] = lambda ended: None
-    ) -> list[Outcome]:
+    def fly(self, scene: Scene, flights: Sequence[Flight]) -> list[Outcome]:
         """Every flight's outcome, in the order given; each depends on nothing but itself.
 
-        ``told`` how many have ended, now and then. Raises InputError where there is no flight.
+        Raises InputError where there is no flight.
         """
         if not flights:
             raise InputError("episodes: have none, want at least one")
@@ -102,7 +100,6 @@ class Runner:
                 fresh[place] = taken[place] != NOBODY
             if fresh.any():
                 state = self._refill(fresh, self._begin(scene, table, np.maximum(taken, 0)), state)
-            told(len(outcomes))
         return [outcomes[member] for member in range(len(flights))]
 
 
