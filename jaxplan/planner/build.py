@@ -6,7 +6,6 @@ evaluation; by capture scores are promises, and beside a committed plan only the
 """
 
 import inspect
-import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -25,7 +24,7 @@ from jaxplan.planner.brake import brake, impact
 from jaxplan.planner.capture import prospect_of
 from jaxplan.planner.corrections import correct
 from jaxplan.planner.descent import build_descent
-from jaxplan.planner.parts import Allocation, Parts, Placing
+from jaxplan.planner.parts import Parts, Placing
 from jaxplan.planner.placed import build_match_placed
 from jaxplan.planner.records import (
     Approach,
@@ -46,21 +45,9 @@ from jaxplan.planner.records import (
 from jaxplan.planner.refined import Refine
 from jaxplan.planner.refinement import refine
 from jaxplan.planner.rollouts import Rollout, build_flyer
+from jaxplan.planner.rounds import least_promise, most_rounds, outrank_beyond, until_one_passes
 from jaxplan.planner.stations import compile_stations
-from jaxplan.planner.table import (
-    Rows,
-    Table,
-    bound,
-    check,
-    enter,
-    knots,
-    match,
-    outrank,
-    reject,
-    rescored,
-    search,
-    table_of,
-)
+from jaxplan.planner.table import outrank, reject, rescored, search, table_of
 from jaxplan.planner.timer import Timer
 from jaxplan.planner.validator import Room, Verdict, validate
 from jaxplan.planner.warmup import candidates_around, compile_all, compile_refinement, fly_once
@@ -80,14 +67,6 @@ from jaxplan.vehicle.identity import require_same_vehicle
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.obstacles import World
 from jaxplan.world.update import Change, without_boxes
-
-PORTION = 2
-"""Widths of candidates that get their waypoints at a time: of about so many one width may arrive in time (measured)."""
-DOUBT = 0.25
-"""s; how much sooner a candidate's trajectory may capture than a straight flight promises (arbitrary)."""
-AT_STAKE = 0.5
-"""s; beside a committed plan one width of candidates is tried for each of these until it captures the target: no other
-plan gains more (docs/decisions/0047)."""
 
 
 def build_planner(
@@ -252,68 +231,21 @@ def plan_batch(
     timer = timer or Timer()
     prospect = prospect_for(parts.config, candidates)
     table = reject(parts, state, table_of(candidates, parts.score(state, candidates, prospect)))
+    promise = table.promise()
     if not parts.config.exhaustive:
-        doubt = 0.0 if prospect is None else DOUBT
-        table = outrank(table, np.flatnonzero(table.score <= above - doubt))
+        least = above if prospect is None else least_promise(parts, state, table, above)
+        table = outrank(table, np.flatnonzero(table.score <= least))
     timer.lap("reject")
+    rounds = np.inf if prospect is None else most_rounds(parts, state, above)
+    table = outrank_beyond(parts, table, rounds)
     rows = table.usable()
     if len(rows):
         table = search(parts, state, table, rows)
         timer.lap("search")
-        rounds = len(rows) if prospect is None or above == -np.inf else max(math.ceil(-above / AT_STAKE), 1)
-        table = _until_one_passes(parts, state, table, timer, rounds)
-    plans = (table if prospect is None else rescored(table, prospect)).plans()
+        table = until_one_passes(parts, state, table, timer, rounds)
+    plans = (table if prospect is None else rescored(table, prospect)).plans(promise)
     timer.lap("select")
     return plans
-
-
-def _until_one_passes(parts: Parts, state: FlatState, table: Table, timer: Timer, rounds: int) -> Table:
-    """Match, solve and check the best rows first, in at most so many rounds, until a round has a usable one.
-
-    Waypoints are placed for no more of them than it takes to fill the next round with what may arrive in time. Once the
-    ``timer`` is up there is no further round.
-    """
-    width, exhaustive = parts.config.width, parts.config.exhaustive
-    rows = table.usable() if exhaustive else table.best_first()
-    waiting, size, asked = rows[:0], len(rows) if exhaustive else PORTION * width, parts.tried(state)
-    while len(rows):
-        some, rows = rows[:size], rows[size:]
-        table = _bounded(parts, state, table, some, timer)
-        waiting = np.concatenate([waiting, some[table.reasons[some] == 0]])
-        while len(waiting) >= (width if len(rows) else 1):
-            table, passed = _round(parts, state, table, waiting[:width], timer, asked)
-            asked = parts.allocations(state)
-            waiting, rounds = waiting[width:], rounds - 1
-            if not exhaustive and (passed or timer.is_up or rounds == 0):
-                return outrank(table, np.concatenate([waiting, rows]))
-    return table
-
-
-def _bounded(parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Timer) -> Table:
-    """Waypoints for ``rows``, and which of them may be reached in time."""
-    table = knots(parts, table, rows)
-    timer.lap("knots")
-    table = bound(parts, state, table, rows)
-    timer.lap("policy")
-    return table
-
-
-def _round(
-    parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Timer, asked: tuple[Allocation, ...]
-) -> tuple[Table, bool]:
-    """Ask the time allocations in turn, each for the rows that can still win; whether one of them did."""
-    passed = False
-    for allocation in asked:
-        matched = match(parts, allocation, state, table, rows)
-        timer.lap("policy", matched.arrival)
-        checked = check(parts, state, table, matched)
-        timer.lap("minsnap")
-        table, passes = enter(table, checked), checked.reasons == 0
-        passed |= bool(passes.any())
-        rows = rows[~passes] if parts.config.exhaustive else rows[np.cumsum(passes) == 0]
-        if not len(rows):
-            break
-    return table, passed
 
 
 @uncollected()

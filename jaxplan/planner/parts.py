@@ -156,7 +156,7 @@ class Parts(NamedTuple):
         A profile takes what is not along the first leg for lost, and a route that turns at once is not followed.
         """
         position, velocity, acceleration = (np.asarray(getattr(state, name)) for name in ("pos", "vel", "acc"))
-        if np.linalg.norm(velocity) <= self.config.policy_speed:
+        if not self.is_fast(state):
             return None
         for time in LEADS:
             shares = np.linspace(0.0, time, 5)[1:, None]
@@ -189,10 +189,13 @@ class Parts(NamedTuple):
         asked = self.config.allocate
         profile = Allocation(self.stations.match_profile, self.config.profile_probability)
         policy = Allocation(self.stations.match_policy, self.config.checks.least_probability)
-        slow = float(np.linalg.norm(np.asarray(state.vel))) <= self.config.policy_speed
         if asked == "both":
-            return (profile, policy) if slow else (profile,)
+            return (profile,) if self.is_fast(state) else (profile, policy)
         return (profile,) if asked == "profile" else (policy,)
+
+    def is_fast(self, state: FlatState) -> bool:
+        """Whether a start is so fast that the policy is not asked (``PlannerConfig.policy_speed``)."""
+        return float(np.linalg.norm(np.asarray(state.vel))) > self.config.policy_speed
 
     def tried(self, state: FlatState) -> tuple[Allocation, ...]:
         """The same before whom stands who places waypoints, where that is asked for all candidates."""

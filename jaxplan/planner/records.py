@@ -172,6 +172,8 @@ class Plans:
     """0 means usable."""
     score: Float[np.ndarray, "k"]
     """What the selection maximises [s]."""
+    promise: float = np.inf
+    """The best score of all that could be reached in time, before anything was searched [s]."""
     alpha: Float[np.ndarray, "k"]
     """Scale factor of the time allocation; NaN where none was computed."""
     trajectory: Int[np.ndarray, "k"]

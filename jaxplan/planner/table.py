@@ -33,6 +33,10 @@ PLACED_SOONER = 0.6
 """No plan whose waypoints are placed takes less than this share of the first allocation's least time (arbitrary)."""
 
 
+TAKEN = Reason.GOAL_OCCUPIED | Reason.GOAL_OUTSIDE
+"""Against goals whose place is not free: a target may be met on the way there."""
+
+
 class Matched(NamedTuple):
     """Rows that have durations, but no trajectories yet; filled up to the width of the stations."""
 
@@ -86,6 +90,11 @@ class Table(NamedTuple):
         """Rows with no reason against them so far."""
         return np.flatnonzero(self.reasons == 0)
 
+    def promise(self) -> float:
+        """The best score of what can be reached in time, as far as is known [s]; its goal need not be free."""
+        possible = ((self.reasons & ~np.uint32(TAKEN)) == 0) & np.isfinite(self.score)
+        return float(self.score[possible].max(initial=-np.inf))
+
     def best_first(self) -> Rows:
         """The usable rows, the best score first, equal ones in the order given."""
         rows = np.flatnonzero((self.reasons == 0) & np.isfinite(self.score))
@@ -105,14 +114,15 @@ class Table(NamedTuple):
         """Where the targets of some rows are met [m, world]."""
         return np.asarray(self.candidates.goals)[rows]
 
-    def plans(self) -> Plans:
-        """The table as it is returned."""
+    def plans(self, promise: float) -> Plans:
+        """The table as it is returned, with its first ``promise``."""
         splines, margins = _joined(self.trajectories) if self.trajectories else no_trajectories()
         return Plans(
             goals=self.goals(self.every_row),
             arrival_times=self.arrival_times(self.every_row),
             reasons=self.reasons | self.faults,
             score=self.score,
+            promise=promise,
             alpha=self.alpha,
             trajectory=self.trajectory,
             splines=splines,

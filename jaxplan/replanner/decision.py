@@ -143,24 +143,11 @@ class Decision:
     def _by_capture(self, plans: Plans, prospect: Prospect) -> Outcome:
         """The ladder: what is expected to capture soonest, be it a plan, a correction or the committed one; a stop.
 
-        Where no plan and no correction passes approaches are looked at, and then stops, which keep the ways open.
+        Where no flight, though it went straight on, would be enough sooner than what is committed, only that counts.
         """
         rival = _Rival(self.incumbent.score + self._planner.config.capture.gain, PlanStatus.KEPT_COMMITTED, None)
-        corrections = self._planner.correct(self._known.start.state, prospect)
-        corrected = _worth(prospect, corrections)
-        self._timer.lap("correct")
-        if (plans.reasons == 0).any() or (corrections.reasons == 0).any():
-            rival = self._sooner(rival, plans, plans.score, PlanStatus.INTERCEPT)
-            rival = self._sooner(rival, corrections, corrected, PlanStatus.INTERCEPT)
-        else:
-            if self._vain.is_worth("approach"):
-                approaches = self._approaches()
-                rival = self._sooner(rival, approaches, _worth(prospect, approaches), PlanStatus.APPROACH)
-            if rival.chosen is None and np.isfinite(self.incumbent.score) and self._vain.is_worth("stop"):
-                self._vain.remember("stop")
-                stops = self._planner.brake(self._known.start.state, self._known.committed.spline, self._known.since)
-                rival = self._sooner(rival, stops, _worth(prospect, stops), PlanStatus.APPROACH)
-                self._timer.lap("stop")
+        if not -np.inf < plans.promise <= rival.score:
+            rival = self._soonest(rival, plans, prospect)
         if rival.chosen is None and not np.isfinite(self.incumbent.score):
             return self.stop(PlanStatus.BRAKE)
         if rival.chosen is None and not self._vain.is_worth("refine"):
@@ -170,6 +157,27 @@ class Decision:
             spline, since = rival.chosen.spline, 0.0
         refined = self._refined(seed_towards(prospect, spline, since, self._config.reach), rival.score)
         return (PlanStatus.INTERCEPT, refined) if refined else (rival.status, rival.chosen)
+
+    def _soonest(self, rival: _Rival, plans: Plans, prospect: Prospect) -> _Rival:
+        """The best of plans and corrections.
+
+        Where none of them passes approaches are looked at, and then stops, which keep the ways open.
+        """
+        corrections = self._planner.correct(self._known.start.state, prospect)
+        corrected = _worth(prospect, corrections)
+        self._timer.lap("correct")
+        if (plans.reasons == 0).any() or (corrections.reasons == 0).any():
+            rival = self._sooner(rival, plans, plans.score, PlanStatus.INTERCEPT)
+            return self._sooner(rival, corrections, corrected, PlanStatus.INTERCEPT)
+        if self._vain.is_worth("approach"):
+            approaches = self._approaches()
+            rival = self._sooner(rival, approaches, _worth(prospect, approaches), PlanStatus.APPROACH)
+        if rival.chosen is None and np.isfinite(self.incumbent.score) and self._vain.is_worth("stop"):
+            self._vain.remember("stop")
+            stops = self._planner.brake(self._known.start.state, self._known.committed.spline, self._known.since)
+            rival = self._sooner(rival, stops, _worth(prospect, stops), PlanStatus.APPROACH)
+            self._timer.lap("stop")
+        return rival
 
     def _sooner(self, rival: _Rival, among: Flights, score: Float[np.ndarray, "k"], status: PlanStatus) -> _Rival:
         """The best of some trajectories, where it is better than ``rival``."""

@@ -13,6 +13,7 @@ from jaxplan.compilation import compilations
 from jaxplan.errors import InputError
 from jaxplan.knots import KnotConfig
 from jaxplan.planner import PlannerConfig, Timer, build_planner, select, select_approach
+from jaxplan.planner.rounds import PROMISING
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
 from jaxplan.prediction.futures import Futures
@@ -144,10 +145,14 @@ def test_once_the_time_is_up_no_more_candidates_are_tried(world, moving):
     assert hasty.score[tried].min() >= hasty.score[wanted & ~tried].max()
 
 
-@pytest.mark.parametrize(("captures_in", "rounds"), [(0.2, 1), (0.8, 2)])
-def test_the_sooner_the_committed_plan_captures_the_fewer_others_are_tried(world, moving, captures_in, rounds):
-    """Where plans are compared by capture, and none passes; the best ones are those that are tried."""
-    config = dataclasses.replace(CONFIG, checks=CheckConfig(max_deviation=1e-9), allocate="policy")
+@pytest.mark.parametrize(("captures_in", "fast_from", "rounds"), [(0.2, 9.0, 1), (0.8, 9.0, 2), (0.8, 0.0, 1)])
+def test_the_sooner_the_committed_plan_captures_the_fewer_others_are_tried(
+    world, moving, captures_in, fast_from, rounds
+):
+    """Where plans are compared by capture, and none passes; the best ones are those that are tried, fewer in flight."""
+    config = dataclasses.replace(
+        CONFIG, checks=CheckConfig(max_deviation=1e-9), allocate="policy", policy_speed=fast_from
+    )
     strict = build_planner(config, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
     ahead = np.asarray(moving.pos) + 0.3 * np.asarray(moving.vel)  # every flight captures it soon
     still = Futures(times=np.zeros(1), positions=ahead[None, None], weights=np.ones(1))
@@ -159,6 +164,21 @@ def test_the_sooner_the_committed_plan_captures_the_fewer_others_are_tried(world
     assert beside.score[tried].min() >= beside.score[wanted & ~tried].max()
     by_eq_9 = strict.plan_batch(moving, candidates(90), None, -100.0)
     assert (by_eq_9.trajectory >= 0).sum() > rounds * config.width
+
+
+@pytest.mark.parametrize(("fast_from", "gain"), [(9.0, CONFIG.capture.gain), (0.0, PROMISING)])
+def test_nothing_is_tried_where_no_straight_flight_promises_enough(world, moving, fast_from, gain):
+    """By capture, beside a committed plan; more is asked for in fast flight."""
+    config = dataclasses.replace(CONFIG, allocate="policy", policy_speed=fast_from)
+    planner = build_planner(config, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
+    still = Futures(times=np.zeros(1), positions=np.array([[[1.0, 1.0, 1.0]]]), weights=np.ones(1))
+    given = replace(candidates(90), futures=still)
+    untried = planner.plan_batch(moving, given, None, np.inf)
+    promise = untried.score[(untried.reasons & ~np.uint32(Reason.OUTRANKED)) == 0].max()
+    little, enough = (planner.plan_batch(moving, given, None, promise - share * gain) for share in (0.9, 1.1))
+    assert (little.trajectory == -1).all()
+    assert (enough.trajectory >= 0).any()
+    assert little.promise == enough.promise == untried.promise >= promise
 
 
 def replace_config(exhaustive):

@@ -127,6 +127,27 @@ def test_what_is_drawn_anew_in_each_cycle_does_not_change_the_plan(planner):
     assert all(cycle.jump is None or (cycle.jump[:4] <= 1e-6).all() for cycle in cycles)
 
 
+@pytest.mark.parametrize(("promise", "asked"), [(-np.inf, True), (-9.0, False), (0.0, True)])
+def test_nothing_else_is_looked_for_where_no_straight_flight_would_be_sooner(planner, promise, asked):
+    """Beside a committed plan; -inf says that nothing is known of any."""
+    corrected = []
+
+    def plan_batch(*given):
+        return replace(planner.plan_batch(*given), promise=promise)
+
+    def correct(*given):
+        corrected.append(given)
+        return planner.correct(*given)
+
+    replanner = Replanner(planner, Passing(predicted((0.0, 0.5, 0.0)), 0.0), hover(START))
+    seen = first_observation(0.0, np.array([-4.2, 0.0, 1.0]))
+    assert replanner.step(0.0, seen).status is PlanStatus.INTERCEPT
+    replanner.planner = planner._replace(plan_batch=plan_batch, correct=correct)
+    cycle = replanner.step(0.1, seen)
+    assert bool(corrected) == asked
+    assert asked or cycle.status is PlanStatus.KEPT_COMMITTED
+
+
 class Turning:
     """A target that flies north and turns back after 0.5 s; expected to go on as it does now, more or less."""
 

@@ -1,0 +1,90 @@
+"""Rounds of a replan: the most promising candidates are matched, solved and checked until one passes (host).
+
+Where plans are compared by capture a candidate's score is what a flight straight to its goal promises. Beside a
+committed plan that decides how many are tried, and whether any is.
+"""
+
+import numpy as np
+
+from jaxplan.planner.parts import Allocation, Parts
+from jaxplan.planner.table import Rows, Table, bound, check, enter, knots, match, outrank
+from jaxplan.planner.timer import Timer
+from jaxplan.spline import FlatState
+
+PORTION = 2
+"""Widths of candidates that get their waypoints at a time: of about so many one width may arrive in time (measured)."""
+DOUBT = 0.25
+"""s; how much sooner a candidate's trajectory may capture than a straight flight promises (arbitrary)."""
+AT_STAKE, IN_FLIGHT = 0.5, 1.0
+"""s; beside a committed plan one width of candidates is tried for each of these until it captures the target: no other
+plan gains more (docs/decisions/0047). The second in fast flight, where further rounds hardly ever pass (0054)."""
+PROMISING = 0.2
+"""s; in fast flight candidates are tried only where the best of them promises to capture so much sooner than a
+committed plan: what won promised more (docs/decisions/0054)."""
+
+
+def most_rounds(parts: Parts, state: FlatState, above: float) -> float:
+    """How many widths of candidates are tried beside a committed plan that is worth ``above`` [s], by capture."""
+    return np.inf if above == -np.inf else max(np.ceil(-above / (IN_FLIGHT if parts.is_fast(state) else AT_STAKE)), 1.0)
+
+
+def least_promise(parts: Parts, state: FlatState, table: Table, above: float) -> float:
+    """What a candidate must promise [s] to be tried beside a committed plan that is worth ``above``, by capture."""
+    gain, best = PROMISING if parts.is_fast(state) else parts.config.capture.gain, table.best_first()[:1]
+    return above - DOUBT if table.score[best].max(initial=-np.inf) > above + gain else np.inf
+
+
+def outrank_beyond(parts: Parts, table: Table, rounds: float) -> Table:
+    """The table without the rows for which so many rounds leave no time: no path is looked for to their goals."""
+    if parts.config.exhaustive or rounds == np.inf:
+        return table
+    return outrank(table, table.best_first()[int(rounds) * PORTION * parts.config.width :])
+
+
+def until_one_passes(parts: Parts, state: FlatState, table: Table, timer: Timer, rounds: float) -> Table:
+    """Match, solve and check the best rows first, in at most so many rounds, until a round has a usable one.
+
+    Waypoints are placed for no more of them than it takes to fill the next round with what may arrive in time. Once the
+    ``timer`` is up there is no further round.
+    """
+    width, exhaustive = parts.config.width, parts.config.exhaustive
+    rows = table.usable() if exhaustive else table.best_first()
+    waiting, size, asked = rows[:0], len(rows) if exhaustive else PORTION * width, parts.tried(state)
+    while len(rows):
+        some, rows = rows[:size], rows[size:]
+        table = _bounded(parts, state, table, some, timer)
+        waiting = np.concatenate([waiting, some[table.reasons[some] == 0]])
+        while len(waiting) >= (width if len(rows) else 1):
+            table, passed = _round(parts, state, table, waiting[:width], timer, asked)
+            asked = parts.allocations(state)
+            waiting, rounds = waiting[width:], rounds - 1
+            if not exhaustive and (passed or timer.is_up or rounds == 0):
+                return outrank(table, np.concatenate([waiting, rows]))
+    return table
+
+
+def _bounded(parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Timer) -> Table:
+    """Waypoints for ``rows``, and which of them may be reached in time."""
+    table = knots(parts, table, rows)
+    timer.lap("knots")
+    table = bound(parts, state, table, rows)
+    timer.lap("policy")
+    return table
+
+
+def _round(
+    parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Timer, asked: tuple[Allocation, ...]
+) -> tuple[Table, bool]:
+    """Ask the time allocations in turn, each for the rows that can still win; whether one of them did."""
+    passed = False
+    for allocation in asked:
+        matched = match(parts, allocation, state, table, rows)
+        timer.lap("policy", matched.arrival)
+        checked = check(parts, state, table, matched)
+        timer.lap("minsnap")
+        table, passes = enter(table, checked), checked.reasons == 0
+        passed |= bool(passes.any())
+        rows = rows[~passes] if parts.config.exhaustive else rows[np.cumsum(passes) == 0]
+        if not len(rows):
+            break
+    return table, passed
