@@ -155,7 +155,8 @@ class Decision:
         spline, since = self._known.committed.spline, self._known.since
         if rival.chosen is not None:
             spline, since = rival.chosen.spline, 0.0
-        refined = self._refined(seed_towards(prospect, spline, since, self._config.reach), rival.score)
+        seed = seed_towards(prospect, spline, since, self._config.reach)
+        refined = self._refined(seed, rival.score, new=rival.chosen is not None)
         return (PlanStatus.INTERCEPT, refined) if refined else (rival.status, rival.chosen)
 
     def _soonest(self, rival: _Rival, plans: Plans, prospect: Prospect) -> _Rival:
@@ -198,12 +199,17 @@ class Decision:
         self._timer.lap("approach")
         return approaches
 
-    def _refined(self, seed: Seed, score: float) -> Chosen | None:
-        """An interception that is enough sooner than ``seed``, which is worth ``score``; None where there is none."""
+    def _refined(self, seed: Seed, score: float, new: bool = False) -> Chosen | None:
+        """An interception that is enough sooner than ``seed``, which is worth ``score``; None where there is none.
+
+        A ``new`` plan is not committed yet; from a slow start it is tried once more when it is.
+        """
         steps = self._steps()
         if steps == 0:
             return None
-        self._vain.remember("refine")
+        speed = float(np.linalg.norm(np.asarray(self._known.start.state.vel)))
+        if not new or speed > self._planner.config.policy_speed:
+            self._vain.remember("refine", new)
         before, start = self._timer.total, self._known.start
         refined = self._planner.refine(start.state, self._known.candidates, seed, steps)
         self._timer.lap("refine")
@@ -214,6 +220,7 @@ class Decision:
         if not self._passes(refined.spline):
             self.refused += 1
             return None
+        self._vain.forget("refine")
         return chosen_refined(refined, seed)
 
     def _is_better(self, refined: Refined, score: float) -> bool:

@@ -91,6 +91,19 @@ def test_what_was_tried_in_vain_is_tried_again_only_against_another_plan_or_a_wo
     assert vain.is_worth("refine")
 
 
+def test_what_came_to_nothing_for_a_new_plan_is_not_tried_again_once_that_is_committed():
+    vain, plan, other, third = Vain(), hold(hover(START)), hold(hover(START)), hold(hover(START))
+    vain.against(plan, 3.0)
+    vain.remember("refine", new=True)
+    vain.against(other, 2.5)
+    assert not vain.is_worth("refine")
+    assert vain.is_worth("stop")
+    vain.remember("refine", new=True)
+    vain.forget("refine")
+    vain.against(third, 2.0)
+    assert vain.is_worth("refine")
+
+
 @pytest.mark.parametrize(("receding", "least", "most"), [(0.0, 1, 2), (0.2, 4, 6)])
 def test_a_committed_plan_is_refined_again_where_it_has_become_worse(planner, receding, least, most):
     """The target flies as predicted, or each prediction has it farther away than the one before."""
