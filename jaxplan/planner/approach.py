@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxplan.arrival import time_to
-from jaxplan.batching import join, pick
 from jaxplan.planner.border import usual_candidates, usual_state
 from jaxplan.planner.fallbacks import Approaches
 from jaxplan.planner.parts import Parts
@@ -24,30 +23,27 @@ PACES = (0.75, 0.82, 0.9, 1.0, 1.15, 1.4, 2.0, 3.0)
 
 
 def approach(parts: Parts, state: FlatState, candidates: Candidates) -> Approaches:
-    """Trajectories towards the latest candidates, for when none can be met."""
+    """Trajectories towards the latest candidates, for when none can be met; by the first allocation that has any."""
     state, candidates = usual_state(state), usual_candidates(candidates)
     table = reject(parts, state, table_of(candidates, np.zeros(len(candidates.goals))))
     rows = _latest_goals(table)
     meetings = (True, False) if parts.config.meet != "rest" else (False,)
-    asked = parts.allocations(state)
-    axes = np.meshgrid(np.arange(len(asked)), np.arange(len(rows)), meetings, PACES, indexing="ij")
-    allocation, member, passing, alpha = (axis.ravel() for axis in axes)
+    axes = np.meshgrid(np.arange(len(rows)), meetings, PACES, indexing="ij")
+    member, passing, alpha = (axis.ravel() for axis in axes)
     goals, times = table.goals(rows)[member], table.arrival_times(rows)[member]
     arrival, reasons, found = np.zeros(len(member)), np.zeros(len(member), np.uint32), no_trajectories()
     if len(rows):
         paths = parts.search(state, table.goals(rows), np.asarray(candidates.target))
         routes = shortened(parts.route(paths, member, passing))
-        flown = []
-        for one, by in enumerate(asked):
-            of = np.flatnonzero(allocation == one)
-            some = pick(routes, of)
-            durations = parts.durations_at(by, state, some, alpha[of])
-            flown.append((parts.check_all(by, state, some, durations, np.asarray(candidates.target)), len(of)))
-        found = join(flown)
+        missing = (paths.reasons & ~np.uint32(Reason.PREFIX_ONLY))[member]
+        for allocation in parts.allocations(state):
+            durations = parts.durations_at(allocation, state, routes, alpha)
+            found = parts.check_all(allocation, state, routes, durations, np.asarray(candidates.target))
+            reasons = np.asarray(found.margins.reasons) | missing
+            if (reasons == 0).any():
+                break
         durations = np.asarray(found.splines.durations)
         arrival = np.asarray(time_to(durations, np.asarray(routes.meet))) * _left_out(routes, paths.length[member])
-        missing = paths.reasons & ~np.uint32(Reason.PREFIX_ONLY)
-        reasons = np.asarray(found.margins.reasons) | missing[member]
     return Approaches(
         goals=goals,
         arrival_times=times,

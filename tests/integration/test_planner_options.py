@@ -188,6 +188,9 @@ def test_both_allocations_find_what_either_finds(world, moving):
         score = {name: some.score[select(some)] if select(some) >= 0 else -np.inf for name, some in plans.items()}
         assert score["both"] == max(score["policy"], score["profile"])
         assert score["fast"] == score["fast profile"]
+        ways = {name: planner.approach(moving, candidates(40, seed)) for name, planner in planners.items()}
+        first = "profile" if (ways["profile"].reasons == 0).any() else "policy"
+        np.testing.assert_array_equal(ways["both"].reasons, ways[first].reasons)
         better |= {name for name in ("policy", "profile") if score[name] < score["both"]}
     assert better == {"policy", "profile"}
 
