@@ -28,7 +28,7 @@ from jaxplan.replanner.ahead import Ahead, look_ahead
 from jaxplan.replanner.choice import Chosen, Known, Start
 from jaxplan.replanner.committed import CommittedPlans, hold
 from jaxplan.replanner.decision import Decision, Memory
-from jaxplan.replanner.governor import Lag, lag_behind
+from jaxplan.replanner.governor import BEHIND, Lag, lag_behind
 from jaxplan.replanner.measured import carried_on, heading_near, turn_from, usual_measured
 from jaxplan.replanner.pace import Pace
 from jaxplan.replanner.passing import Passing, Ways, usual_ways
@@ -205,7 +205,10 @@ class Replanner:
         """How far the vehicle, if it stays beside its reference as it is now, will be behind what is committed."""
         if measured is None:
             return None
-        then = carried_on(measured, self._committed.at(now), self._committed.at(takeover), takeover - now)
+        reference = self._committed.at(takeover)
+        then = carried_on(measured, self._committed.at(now), reference, takeover - now)
+        if np.linalg.norm(np.asarray(then.pos) - np.asarray(reference.pos)) < BEHIND:
+            return None
         return lag_behind(
             self.committed.spline, takeover - self.committed.start_time, np.asarray(then.pos), np.asarray(then.vel)
         )
