@@ -37,6 +37,8 @@ HALF_DIAGONAL = 0.5 * math.sqrt(3.0)
 """Of a cell with side 1."""
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
+NOTHING, CELLS = np.int64(-1), np.int64(-2)
+"""Answers of ``what_blocks`` that are no primitive: what else is solid has no number."""
 Box = tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]
 """Lower and upper corner [m]."""
 EVERYWHERE: Box = np.full(3, -np.inf), np.full(3, np.inf)
@@ -63,6 +65,32 @@ def keeps_clear(field, limit, a, b):
     if few and _is_blocked(solids, limit, a, b):
         return False
     return (few and solids[6].size == 0 and solids[8].size == 0) or follows_clear(field, limit, a, b)
+
+
+@inner
+@no_type_check
+def what_blocks(field, limit, a, b):
+    """As ``keeps_clear``, but tells what stands in the way: a number of a primitive, ``CELLS``, or ``NOTHING``."""
+    solids = field[3]
+    few = len(solids[0]) <= FEW
+    if few:
+        way, fine = _way(limit, a, b)
+        for n in range(len(solids[0])):
+            if _too_close(solids[0][n], solids[1][n], solids[2][n], limit, a, way, fine):
+                return n
+    clear = (few and solids[6].size == 0 and solids[8].size == 0) or follows_clear(field, limit, a, b)
+    return NOTHING if clear else CELLS
+
+
+@inner
+@no_type_check
+def still_blocks(field, limit, a, b, n):
+    """Whether a segment comes too close to one primitive, that was in the way before; never where ``n`` is none's."""
+    if n < 0:
+        return False
+    solids = field[3]
+    way, fine = _way(limit, a, b)
+    return _too_close(solids[0][n], solids[1][n], solids[2][n], limit, a, way, fine)
 
 
 @inner

@@ -10,7 +10,7 @@ from typing import no_type_check
 
 from jaxplan.search.kernels.cells import at, distance
 from jaxplan.search.kernels.compiled import inner
-from jaxplan.search.kernels.sight import keeps_clear
+from jaxplan.search.kernels.sight import NOTHING, keeps_clear, still_blocks, what_blocks
 from jaxplan.search.kernels.solids import clearance_at
 
 SWEEPS = 3
@@ -54,24 +54,36 @@ def _shorten(s, path, normals, i):
     mz = a[2] + share * (b[2] - a[2]) - p[2]
     rise = mx * nx + my * ny + mz * nz
     tx, ty, tz = mx - rise * nx, my - rise * ny, mz - rise * nz
+    before = after = NOTHING
     if tx * tx + ty * ty + tz * tz > 1e-5:
-        _move(s, path, i, (p[0] + tx, p[1] + ty, p[2] + tz))
+        before, after = _move(s, path, i, (p[0] + tx, p[1] + ty, p[2] + tz), before, after)
     p = at(path, i)
     sink = max(rise, s.limit - clearance_at(s.field[3], p[0], p[1], p[2]))
     while sink < -5e-3:
-        if _move(s, path, i, (p[0] + sink * nx, p[1] + sink * ny, p[2] + sink * nz)):
+        sunk = p[0] + sink * nx, p[1] + sink * ny, p[2] + sink * nz
+        before, after = _move(s, path, i, sunk, before, after)
+        if before == NOTHING and after == NOTHING:
             break
         sink *= 0.7
 
 
 @inner
 @no_type_check
-def _move(s, path, i, p):
-    """Move bend ``i`` to p [m] if its neighbours see it there; returns whether they do."""
-    seen = _sees(s, path, i - 1, p) and keeps_clear(s.field, s.limit, p, at(path, i + 1))
-    if seen:
+def _move(s, path, i, p, before, after):
+    """Move bend ``i`` to p [m] if its neighbours see it there; what is in the way from one of them, and to the other.
+
+    ``before`` and ``after`` were the last time, and are looked at first.
+    """
+    here, there, near = at(path, i - 1), at(path, i + 1), s.near if i == 1 else s.limit
+    if still_blocks(s.field, near, here, p, before) or still_blocks(s.field, s.limit, p, there, after):
+        return before, after
+    before = what_blocks(s.field, near, here, p)
+    if before != NOTHING:
+        return before, after
+    after = what_blocks(s.field, s.limit, p, there)
+    if after == NOTHING:
         put(path, i, p)
-    return seen
+    return before, after
 
 
 @inner
