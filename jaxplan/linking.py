@@ -9,13 +9,16 @@ This builds on how numba's compiler is put together, so it is used with versions
 compile as ever, for longer.
 """
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 import numba
-from numba.core import typed_passes, untyped_passes
+from numba.core import typed_passes, types, untyped_passes
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder, Flags
 from numba.core.compiler_machinery import PassManager, register_pass
+from numba.core.postproc import PostProcessor
 
 TRIED = ("0.68",)
 """Versions of numba."""
@@ -106,13 +109,56 @@ _HASH = hash(Flags())
 """Of all of them: numba hashes their names."""
 
 
+class _Passes(PassManager):
+    """Runs passes without a description of each, and analyses a function anew where something was put into it only."""
+
+    def _runPass(self, index: int, step: Any, state: Any) -> None:
+        step.analysis = self._analysis
+        step.run_initialization(state)
+        if step.run_pass(state) and isinstance(step, untyped_passes.InlineInlinables):
+            PostProcessor(state.func_ir).run()
+        step.run_finalizer(state)
+
+
+_signatures: dict[tuple, Any] = {}
+"""Of numba's own functions and operators, by function, context and types of what it is called with."""
+
+
+@contextlib.contextmanager
+def _looked_up_once() -> Iterator[None]:
+    """Numba tries all that an operator may stand for wherever one occurs, when typing and when lowering it.
+
+    Here that is done once for all that have operands of the same types. To be used under numba's lock on its compiler.
+    """
+    functions: Any = types.Function
+    if "get_call_type" in vars(functions):  # a part of what is compiled already
+        yield
+        return
+    functions.get_call_type = _signature
+    try:
+        yield
+    finally:
+        del functions.get_call_type
+
+
+def _signature(function: Any, context: Any, args: Any, named: Any) -> Any:
+    key = (function, context, tuple(args), *named.items())
+    if key not in _signatures:
+        _signatures[key] = types.BaseFunction.get_call_type(function, context, args, named)
+    return _signatures[key]
+
+
 class _Compiler(CompilerBase):
     def __init__(self, typingctx: Any, targetctx: Any, library: Any, args: Any, restype: Any, flags: Any, locals: Any):
         super().__init__(typingctx, targetctx, library, args, restype, _Flags(flags), locals)
 
+    def compile_extra(self, func: Any) -> Any:
+        with _looked_up_once():
+            return super().compile_extra(func)
+
     def _passes(self, used: tuple | None, lower: type) -> list[PassManager]:
         """Numba's passes, those ``used`` or all, with another one for lowering."""
-        passes = PassManager("jaxplan")
+        passes = _Passes("jaxplan")
         for step, said in DefaultPassBuilder.define_nopython_pipeline(self.state).passes:
             if used is None or step in used:
                 passes.add_pass(lower if step is typed_passes.NativeLowering else step, said)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxplan.arrival import ArrivalConfig
+from jaxplan.compilation import uncollected
 from jaxplan.config import InterceptConfig
 from jaxplan.errors import InputError
 from jaxplan.feasibility.checkpoint import load_classifier
@@ -84,6 +85,7 @@ class Scenario:
         return now + np.arange(steps + 1) / CONTROL_RATE
 
 
+@uncollected()
 def build_scenario(config: InterceptConfig, *, exhaustive: bool = False, planner: Planner | None = None) -> Scenario:
     """Load everything a configuration names and check that it fits together.
 
@@ -133,6 +135,7 @@ class Planning(NamedTuple):
     """The defender hovers there until it departs."""
 
 
+@uncollected()
 def build_planning(config: InterceptConfig) -> Planning:
     """Load what a configuration names, but for the target and the simulated vehicle.
 

@@ -18,7 +18,6 @@ from typing import NamedTuple, TextIO
 
 import numpy as np
 from jaxtyping import Float
-from scipy.interpolate import PchipInterpolator
 
 from jaxplan.errors import FileError, InputError
 from jaxplan.io.log_columns import WANT, Layout, LogFormat, layout_of
@@ -185,6 +184,8 @@ def resample(log: TargetLog, dt: float) -> TargetLog:
     Interpolated by monotone cubics (Fritsch and Carlson 1980): through every sample, with a continuous
     velocity, and without overshoot across a gap. The report stays that of the recording.
     """
+    from scipy.interpolate import PchipInterpolator  # a twentieth of all imports, only where it is needed
+
     duration = float(log.times[-1] - log.times[0])
     if not (np.isfinite(dt) and 0.0 < dt <= duration):
         raise InputError(f"sample interval: have {dt!r} s, want above 0 and at most the flight's {duration:.3f} s")

@@ -10,7 +10,6 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
-from scipy.interpolate import PchipInterpolator
 
 from jaxplan.errors import InputError
 from jaxplan.io.log_columns import LogFormat
@@ -113,6 +112,8 @@ def _stored(world: str, name: str, speed: float) -> Target:
 
 
 def _recorded(path: Path, speed: float | None, how: LogFormat | None) -> Target:
+    from scipy.interpolate import PchipInterpolator  # a twentieth of all imports, only where it is needed
+
     log = read_target_log(path, how)
     even = resample(log, min(_LOG_INTERVAL, log.report.duration / 2.0))
     curve = PchipInterpolator(even.times - even.times[0], even.positions, axis=0)

@@ -11,15 +11,18 @@ So the stages of MJX that depend on the pose alone run once, for the level body 
 left: the body's velocities, the bias by recursive Newton-Euler, the integrator. A batch of flights takes half the time
 that it takes with ``mjx.step`` and differs by rounding (docs/decisions/0016-free-body.md); ``complete_body`` is that
 step, with which the tests compare.
+
+MJX is imported when a step is traced: where traces are kept (``jaxplan.kept``) none is, and it takes a quarter of the
+time of all imports.
 """
 
 import contextlib
+import functools
 import io
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from jaxtyping import Float
 
@@ -27,10 +30,6 @@ from jaxplan.arrays import AnyArray, Scalar
 from jaxplan.tracking.rates import PHYSICS_RATE
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.rotations import rotation_from_quat
-
-# mjx 3.17 prints two lines when its optional Warp back end is absent; the standard output belongs to the caller.
-with contextlib.redirect_stdout(io.StringIO()):
-    from mujoco import mjx
 
 Integrator = Literal["Euler", "RK4"]
 """Semi-implicit Euler, first order, is what flights use; RK4 costs 4 times as much (docs/decisions/0008-plant.md)."""
@@ -88,13 +87,14 @@ def vehicle_body(vehicle: Vehicle, *, float64: bool = False) -> Body:
 
     The function that comes back is pure; ``vmap`` it over flights.
     """
-    model, level = _level(vehicle, "Euler", float64)
-    inertia = np.concatenate([np.full(3, vehicle.mass), vehicle.inertia]).astype(level.qpos.dtype)
-    arms = _moment_arms(vehicle).astype(level.qpos.dtype)
+    text, dtype = vehicle_mjcf(vehicle), np.float64 if float64 else np.float32
+    inertia = np.concatenate([np.full(3, vehicle.mass), vehicle.inertia]).astype(dtype)
+    arms = _moment_arms(vehicle).astype(dtype)
 
     def step(
         motion: Motion, thrusts: Float[AnyArray, "4"], force: Float[AnyArray, "3"], moment: Float[AnyArray, "3"]
     ) -> Motion:
+        mjx, model, level = _level(text, float64)
         up = rotation_from_quat(motion.quat_wxyz)[:, 2]
         lift = thrusts[0] + thrusts[1] + thrusts[2] + thrusts[3]
         turning = jnp.sum(arms * thrusts[None, :], axis=1)
@@ -107,25 +107,33 @@ def vehicle_body(vehicle: Vehicle, *, float64: bool = False) -> Body:
 
 def complete_body(vehicle: Vehicle, *, integrator: Integrator = "Euler", float64: bool = False) -> Body:
     """The body of ``vehicle`` under all of ``mjx.step``, its rotors MuJoCo's actuators; for comparisons (host)."""
-    model, level = _level(vehicle, integrator, float64)
+    text = vehicle_mjcf(vehicle, integrator)
 
     def step(
         motion: Motion, thrusts: Float[AnyArray, "4"], force: Float[AnyArray, "3"], moment: Float[AnyArray, "3"]
     ) -> Motion:
+        mjx, model, level = _level(text, float64)
         data = _moved(level, motion).replace(ctrl=thrusts, qfrc_applied=jnp.concatenate([force, moment]))
         return _motion(mjx.step(model, data))
 
     return step
 
 
-def _level(vehicle: Vehicle, integrator: Integrator, float64: bool) -> tuple[mjx.Model, mjx.Data]:
-    """The model, and its data at the origin, level: C MuJoCo has filled in all that follows from the pose."""
-    model = mujoco.MjModel.from_xml_string(vehicle_mjcf(vehicle, integrator))
+@functools.cache
+def _level(text: str, float64: bool) -> tuple[Any, Any, Any]:
+    """MJX, the model of an MJCF text, and its data at the origin, level; C MuJoCo fills in what follows from that."""
+    import mujoco
+
+    # mjx 3.17 prints two lines when its optional Warp back end is absent; the standard output belongs to the caller.
+    with contextlib.redirect_stdout(io.StringIO()):
+        from mujoco import mjx
+
+    model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
-    with jax.enable_x64(float64):
-        return mjx.put_model(model, impl="jax"), mjx.put_data(model, data, impl="jax")
+    with jax.ensure_compile_time_eval(), jax.enable_x64(float64):
+        return mjx, mjx.put_model(model, impl="jax"), mjx.put_data(model, data, impl="jax")
 
 
 def _moment_arms(vehicle: Vehicle) -> Float[np.ndarray, "3 4"]:
@@ -135,13 +143,13 @@ def _moment_arms(vehicle: Vehicle) -> Float[np.ndarray, "3 4"]:
     return np.stack([y, -x, torque])
 
 
-def _moved(data: mjx.Data, motion: Motion) -> mjx.Data:
+def _moved(data: Any, motion: Motion) -> Any:
     return data.replace(
         qpos=jnp.concatenate([motion.pos, motion.quat_wxyz]), qvel=jnp.concatenate([motion.vel, motion.body_rates])
     )
 
 
-def _motion(data: mjx.Data) -> Motion:
+def _motion(data: Any) -> Motion:
     return Motion(pos=data.qpos[:3], quat_wxyz=data.qpos[3:], vel=data.qvel[:3], body_rates=data.qvel[3:])
 
 

@@ -1,11 +1,12 @@
 """How code is compiled for the host, and the key of what numba keeps of it on disk."""
 
+import numba
 import numpy as np
 import pytest
 
 from jaxplan import load_world
 from jaxplan.compilation import compilations
-from jaxplan.linking import PART
+from jaxplan.linking import PART, WHOLE
 from jaxplan.native import digest_of, entry_point, inner, specialisations
 from jaxplan.optimizer.kernels import compiled as of_optimizer
 from jaxplan.search.kernels import compiled as of_search
@@ -79,3 +80,22 @@ def test_parts_are_taken_in_once():
     if PART:
         code = whole.inspect_llvm(whole.signatures[0])
         assert code.count("call i32 @_ZN") == 1  # the wrapper's: all else is in it
+
+
+def test_what_is_looked_up_once_gives_the_code_that_numba_gives():
+    def sums(x, y):
+        total, count = 0.0, 0
+        for k in range(len(x)):
+            if x[k] ** 2 > y[k % 2] or count == 3:
+                total += x[k] / 2 - y[0]
+                count += 1
+        return total, count
+
+    options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    compiled, plain = numba.njit(**options, **WHOLE)(sums), numba.njit(**options)(sums)
+    x, y = np.arange(5.0), np.ones(2)
+    assert compiled(x, y) == plain(x, y) == (0.5 * (2 + 3 + 4) - 3, 3)
+    own, theirs = (each.inspect_asm(each.signatures[0]).splitlines() for each in (compiled, plain))
+    instructions = [[line.split()[0] for line in lines if line.startswith("\t")] for lines in (own, theirs)]
+    assert instructions[0] == instructions[1]
+    assert "get_call_type" not in vars(numba.types.Function)

@@ -96,3 +96,9 @@ def test_importing_jaxplan_is_instant_and_imports_no_jax() -> None:
     code = "import sys, jaxplan; print(sorted({'jax', 'numpy', 'mujoco', 'matplotlib'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_start_imports_only_what_it_calls() -> None:
+    code = "import sys, jaxplan.interception; print(sorted({'mujoco.mjx', 'scipy.interpolate'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
