@@ -1,11 +1,7 @@
-"""Obstacles that move: boxes that fly to and fro, and how a planner that knows still ones is told of them.
+"""Obstacles that move: boxes that fly to and fro, and a replanner that is told of them.
 
-A planner is told, in every cycle, of a still box for each that moves: what it will sweep within the next seconds. So a
-plan that is committed keeps clear of where they may be until then, and what is left of it is looked at again whenever
-they are told anew. Where a box's way is known the swept volume is that of its way; where only its places are seen, that
-of the way that ``Foresight`` makes of them. Who is about to be hit is told of a shorter while, so that a plan can begin
-where the vehicle is: where the boxes will be at which instant is told beside (``Replanner.expect``), so that it leaves
-in time.
+In every cycle it is told where they will be when: where a box's way is known that is its way, where only its places are
+seen what ``Foresight`` makes of them.
 """
 
 from typing import NamedTuple
@@ -16,12 +12,11 @@ from jaxtyping import Float
 from jaxplan.errors import InputError
 from jaxplan.io.targets import Target
 from jaxplan.prediction.observations import Observations
-from jaxplan.replanner import CommittedPlan, Cycle, Foresight, Measured, Replanner, Ways
+from jaxplan.replanner import CommittedPlan, Cycle, Foresight, Measured, MovingBoxes, Replanner, Ways
 from jaxplan.replanner.foresight import MEMORY
 from jaxplan.spline import FlatState
 from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.obstacles import World
-from jaxplan.world.update import Corners, update_world
 
 MOST = 8
 """Boxes that move, in one room: so many spare ones its planner has, whatever the level."""
@@ -33,18 +28,9 @@ AHEAD, ASIDE = 3.0, 0.8
 """s and m: they swing about places between the defender and where the target will be by then, and so far beside."""
 TRIED, ROUNDS = 4096, 8
 """Boxes that are drawn at once, and how often, farther and farther aside, before a room is given up."""
-HORIZONS = (1.8, 1.2, 0.8, 0.4, 0.0)
-"""s that are told; shorter ones where the vehicle is in the way."""
-ENOUGH = 1.0
-"""s; what is told is told anew once it does not hold what is swept within that time any more."""
-FREE = 0.4
-"""m that what is told must leave around the vehicle for plans to begin there."""
 FORESEEN, INSTANT = 1.8, 0.025
 """s for which it is told where they will be when, and from one instant to the next."""
 INSTANTS = INSTANT * np.arange(round(FORESEEN / INSTANT) + 1)
-NEAR = 27.0
-"""m from the vehicle, within which boxes are told: as far as it flies in that time at 15 m/s. At 12 m/s a stop takes
-7 m, and what was told from 6 m on only came too late."""
 STRAY = 0.15
 """m that plans keep from that beyond the vehicle's radius."""
 SEEN, UNCERTAIN = 0.1, 0.005
@@ -127,15 +113,13 @@ class Traffic(NamedTuple):
 
 
 class Warned:
-    """A replanner that is told what will be swept; stands where a ``Replanner`` stands in an episode."""
+    """A replanner that is told what moves; stands where a ``Replanner`` stands in an episode."""
 
     def __init__(self, replanner: Replanner, traffic: Traffic, world: World, radius: float) -> None:
         """``world`` is the planner's room, whose last ``MOST`` boxes are spare; ``radius`` is the vehicle's [m]."""
-        self._replanner, self._traffic, self._world, self._keep = replanner, traffic, world, radius + STRAY
-        self._first = len(world.boxes.center) - MOST
-        self._told: list[Corners | None] = [None] * len(traffic.movers)
-        self.changes = 0
-        """How often the planner was told something."""
+        self._replanner, self._traffic, self._keep = replanner, traffic, radius + STRAY
+        self.boxes = MovingBoxes(replanner, world, len(traffic.movers))
+        """What the replanner is told by."""
 
     @property
     def plans(self) -> list[CommittedPlan]:
@@ -154,44 +138,8 @@ class Warned:
     def step(self, now: float, observations: Observations, measured: Measured | None = None) -> Cycle:
         """Tell what has changed, then decide."""
         here = np.asarray(self.reference(np.array([now])).pos)[0] if measured is None else measured.position
-        ways = self._traffic.ways(now, self._keep)
-        for number in range(len(self._traffic.movers)):
-            told = _to_tell(ways, number, self._told[number], here)
-            if told is not None:
-                change = update_world(self._world, move_box=(self._first + number, told))
-                self._world, self._told[number] = change.world, told
-                self._replanner.update(change, moving=True)
-                self.changes += 1
-        self._replanner.expect(ways)
+        self.boxes.tell(self._traffic.ways(now, self._keep), here)
         return self._replanner.step(now, observations, measured)
-
-
-def _to_tell(ways: Ways, number: int, told: Corners | None, here: Float[np.ndarray, "3"]) -> Corners | None:
-    """What to tell anew of one of them; None where what was told will do, or it is too far away to matter."""
-    soon = _swept(ways, number, ENOUGH)
-    if told is None and distance_to(soon, here) > NEAR:
-        return None
-    if told is not None and _holds(told, soon) and distance_to(told, here) >= FREE:
-        return None
-    every = [_swept(ways, number, seconds) for seconds in HORIZONS]
-    return next((box for box in every if distance_to(box, here) >= FREE), every[-1])
-
-
-def _swept(ways: Ways, number: int, seconds: float) -> Corners:
-    """The box around what one of them sweeps within ``seconds``."""
-    until = ways.times - ways.times[0] <= seconds + 1e-9
-    return ways.lower[number, until].min(axis=0), ways.upper[number, until].max(axis=0)
-
-
-def distance_to(box: Corners, point: Float[np.ndarray, "3"]) -> float:
-    """From a point to a box [m]; 0 inside."""
-    lower, upper = box
-    return float(np.linalg.norm(np.maximum(np.maximum(lower - point, point - upper), 0.0)))
-
-
-def _holds(outer: Corners, inner: Corners) -> bool:
-    """Whether one box is in another."""
-    return bool((np.asarray(outer[0]) <= inner[0]).all() and (np.asarray(outer[1]) >= inner[1]).all())
 
 
 def traffic_in(

@@ -7,10 +7,10 @@ linear regression, with priors on speed and acceleration; how probable each w is
 """
 
 from collections import deque
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from jaxplan.errors import InputError
@@ -39,16 +39,6 @@ AT_ONCE = 1e-3
 _PRIOR = np.stack([np.diag([1e-4, SPEED**-2, acceleration**-2]) for acceleration in ACCELERATIONS])
 
 
-class _Fit(NamedTuple):
-    """Each box's place, velocity and acceleration, for each rate."""
-
-    mean: Float[np.ndarray, "b j 3 3"]
-    """Place relative to where it was seen last [m], velocity, acceleration; each with x, y, z."""
-    covariance: Float[np.ndarray, "b j 3 3"]
-    """Of the three, the same along each axis."""
-    probability: Float[np.ndarray, "b j"]
-
-
 class Foresight:
     """Tracks boxes of known sides and says where they will be when, for ``Replanner.expect``."""
 
@@ -63,10 +53,10 @@ class Foresight:
 
         Raises ``InputError`` for sides, noise or an acceleration that are none.
         """
-        half = as_shaped("foresight: half", half, (None, 3))
-        if not (np.isfinite(half).all() and (half > 0.0).all() and 0.0 < noise < np.inf and 0.0 <= straying < np.inf):
+        sides = as_shaped("foresight: half", half, (None, 3))
+        if not (np.isfinite(sides).all() and (sides > 0.0).all() and 0.0 < noise < np.inf and 0.0 <= straying < np.inf):
             raise InputError("foresight: want finite half sides and noise above 0 m, and straying of 0 m/s^2 or more")
-        self._half, self._noise, self._straying = half, noise, straying
+        self._half, self._noise, self._straying = sides, noise, straying
         self._seen = deque[tuple[float, np.ndarray]]()
 
     def see(self, now: float, centers: Annotated[ArrayLike, "b 3"]) -> None:
@@ -74,28 +64,27 @@ class Foresight:
 
         Raises ``InputError`` for other shapes, and where ``now`` is before what has been seen.
         """
-        centers = as_shaped("foresight: centers", centers, self._half.shape)
+        places = as_shaped("foresight: centers", centers, self._half.shape)
         if not np.isfinite(now) or (self._seen and now < self._seen[-1][0]):
             raise InputError(f"foresight: now is {now} s, want a finite time, and none before what was seen last")
         while self._seen and now - self._seen[-1][0] < AT_ONCE:
             self._seen.pop()
-        self._seen.append((float(now), centers))
+        self._seen.append((float(now), places))
         while now - self._seen[0][0] > MEMORY + AT_ONCE:
             self._seen.popleft()
 
     def ways(self, now: float, ahead: Float[np.ndarray, "n"], keep: float) -> Ways:
-        """Where all that have been seen within ``MEMORY`` will be so long [s] after ``now`` [s].
+        """Where they will be so long [s] after ``now`` [s]; NaN for those that have not been seen within ``MEMORY``.
 
         Args:
             now: on the clock of what was seen.
             ahead: ascending, from 0 on.
             keep: what plans are to keep from them [m].
         """
-        lower, upper = self.corners(now, ahead)
-        known = np.isfinite(lower).all(axis=(1, 2))
-        return Ways(now + ahead, lower[known], upper[known], keep)
+        ahead = np.asarray(ahead, dtype=float)
+        return Ways(now + ahead, *self._corners(now, ahead), keep)
 
-    def corners(
+    def _corners(
         self, now: float, ahead: Float[np.ndarray, "n"]
     ) -> tuple[Float[np.ndarray, "b n 3"], Float[np.ndarray, "b n 3"]]:
         """Lower and upper corners [m, world]; NaN for boxes that have not been seen."""
@@ -104,32 +93,30 @@ class Foresight:
             return nowhere, nowhere
         times = np.array([time for time, _ in self._seen]) - now
         places = np.stack([centers for _, centers in self._seen], axis=1)
-        last, fit = self._fitted(times, places)
-        basis = _basis(np.asarray(ahead, dtype=float))
-        each = np.einsum("jni,bjid->bjnd", basis, fit.mean)
-        way = last[:, None] + np.einsum("bj,bjnd->bnd", fit.probability, each)
-        strayed = 3.0 * self._noise + 0.5 * self._straying * np.minimum(ahead, REACTION) ** 2
-        reach = self._half[:, None] + strayed[:, None]
-        return way - reach, way + reach
-
-    def _fitted(
-        self, times: Float[np.ndarray, "m"], places: Float[np.ndarray, "b m 3"]
-    ) -> tuple[Float[np.ndarray, "b 3"], _Fit]:
-        """Where each box was seen last [m], and its motions."""
         seen = np.isfinite(places).all(axis=2)
         newest = places.shape[1] - 1 - np.argmax(seen[:, ::-1], axis=1)
         last = np.take_along_axis(places, newest[:, None, None], axis=1)[:, 0]
-        basis, weight = _basis(times), seen / (self._noise**2 + (0.5 * AGED * times**2) ** 2)
         offsets = np.where(seen[..., None], places - last[:, None], 0.0)
+        mean, probability = self._fitted(times, offsets, seen)
+        each = np.einsum("jni,bjid->bjnd", _basis(ahead), mean)
+        way = last[:, None] + np.einsum("bj,bjnd->bnd", probability, each)
+        unseen = np.minimum(ahead, REACTION) - times[newest][:, None]
+        reach = self._half[:, None] + (3.0 * self._noise + 0.5 * self._straying * unseen**2)[..., None]
+        return way - reach, way + reach
+
+    def _fitted(
+        self, times: Float[np.ndarray, "m"], offsets: Float[np.ndarray, "b m 3"], seen: Bool[np.ndarray, "b m"]
+    ) -> tuple[Float[np.ndarray, "b j 3 3"], Float[np.ndarray, "b j"]]:
+        """Each box's place [m], velocity and acceleration at 0 s, by x, y, z, for each rate; how probable that is."""
+        basis, weight = _basis(times), seen / (self._noise**2 + (0.5 * AGED * times**2) ** 2)
         precision = np.einsum("jmi,bm,jmk->bjik", basis, weight, basis) + _PRIOR
-        covariance = np.linalg.inv(precision)
         moment = np.einsum("jmi,bm,bmd->bjid", basis, weight, offsets)
-        mean = covariance @ moment
+        mean = np.linalg.solve(precision, moment)
         explained = 0.5 * np.einsum("bjid,bjid->bj", mean, moment)
         log_evidence = explained - 1.5 * (np.linalg.slogdet(precision)[1] - np.linalg.slogdet(_PRIOR)[1])
         log_evidence += np.log(ODDS)
         probability = np.exp(log_evidence - log_evidence.max(axis=1, keepdims=True))
-        return last, _Fit(mean, covariance, probability / probability.sum(axis=1, keepdims=True))
+        return mean, probability / probability.sum(axis=1, keepdims=True)
 
 
 def _basis(times: Float[np.ndarray, "n"]) -> Float[np.ndarray, "j n 3"]:
