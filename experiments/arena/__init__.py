@@ -47,7 +47,8 @@ class Config:
     """Who flies what."""
 
     families: tuple[str, ...] = tuple(name for name in FAMILIES if name != "recorded")
-    """Kinds of episodes: stored, entry, rooms, evasive, half-seen, recorded, camera, moving, moving-seen."""
+    """Kinds of episodes: stored, entry, rooms, evasive, half-seen, recorded, camera, moving, moving-seen,
+    moving-abrupt."""
 
     levels: tuple[int, ...] = LEVELS
     """Of difficulty: 1, 2, 3."""

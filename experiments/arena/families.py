@@ -22,7 +22,7 @@ from jaxplan.world.update import with_spare_boxes
 
 from .evasion import WAYS, Agility, Evader
 from .flights import long_flight, recorded_flight, room_of_boxes
-from .movers import MOST, Traffic, traffic_in
+from .movers import MOST, Mover, Traffic, traffic_in
 from .sight import Sight, SightConfig
 
 LEVELS = (1, 2, 3)
@@ -54,10 +54,12 @@ SEEN_SPEED = 2.5
 """m/s of targets that are half seen, or beside obstacles that move."""
 TRAFFIC = ((4, 1.0), (6, 2.0), (MOST, 3.0))
 """How many boxes move, and how fast at most [m/s]."""
+BOX_NOISE = 0.02
+"""m along each axis, with which boxes are seen that turn around at once."""
 DEPARTURE, LATE = 0.5, (0.15, 0.45)
 """s; and shares of a flight between which the defender departs in the middle of it."""
-EVADING = 8.0
-"""s that an evasive target has to be met in."""
+EVADING = 30.5
+"""s that an evasive target has to be met in, the half second before the departure included."""
 APART, FREE = 3.0, 0.6
 """m from the target's place at the departure, and from everything, at which a defender may hover."""
 FAMILIES = {
@@ -70,6 +72,7 @@ FAMILIES = {
     "camera": "targets half seen by a camera of 120, 90 and 60 degrees that turns to where they were last",
     "moving": "4, 6 and 8 boxes that swing through the stored rooms at 1, 2 and 3 m/s, on ways that are known",
     "moving-seen": "the same boxes, of which only their places are seen",
+    "moving-abrupt": "boxes as fast that fly straight on and turn around at once, seen with noise of 2 cm",
 }
 
 
@@ -162,19 +165,26 @@ def _seen(config: SightConfig, number: int, seed: int) -> Case:
 
 
 def _moving(level: int, number: int, seed: int, recordings: tuple[str, ...]) -> Case:
-    return _among_movers(level, number, seed, True)
+    plain, movers = _among_movers(level, number, seed)
+    return plain._replace(traffic=Traffic(movers, True))
 
 
 def _moving_seen(level: int, number: int, seed: int, recordings: tuple[str, ...]) -> Case:
-    return _among_movers(level, number, seed - _EACH, False)  # the same boxes as the family before
+    plain, movers = _among_movers(level, number, seed - _EACH)  # the same boxes as the family before
+    return plain._replace(traffic=Traffic(movers, False))
 
 
-def _among_movers(level: int, number: int, seed: int, known: bool) -> Case:
-    """A stored target among boxes that move."""
+def _moving_abrupt(level: int, number: int, seed: int, recordings: tuple[str, ...]) -> Case:
+    plain, movers = _among_movers(level, number, seed, abrupt=True)
+    return plain._replace(traffic=Traffic(movers, False, BOX_NOISE, seed))
+
+
+def _among_movers(level: int, number: int, seed: int, abrupt: bool = False) -> tuple[Case, tuple[Mover, ...]]:
+    """A stored target, and the boxes that move around it."""
     world = _roomier(ENVIRONMENTS[number % len(ENVIRONMENTS)])
     target, start = load_target(_name(world, number), world=world.name, speed=SEEN_SPEED), np.asarray(world.start)
-    movers = traffic_in(world, target, start, DEPARTURE + 1.0, *TRAFFIC[level], seed)
-    return _plain(world, target, DEPARTURE, start, seed)._replace(traffic=Traffic(movers, known))
+    movers = traffic_in(world, target, start, DEPARTURE + 1.0, *TRAFFIC[level], seed, abrupt)
+    return _plain(world, target, DEPARTURE, start, seed), movers
 
 
 @functools.lru_cache(maxsize=8)
@@ -193,6 +203,7 @@ _MAKERS = {
     "camera": _camera,
     "moving": _moving,
     "moving-seen": _moving_seen,
+    "moving-abrupt": _moving_abrupt,
 }
 
 

@@ -1,10 +1,7 @@
-"""Obstacles that move: boxes that swing to and fro, and how a planner that knows still ones is told of them.
+"""Obstacles that move: boxes that fly to and fro, and a replanner that is told of them.
 
-A planner is told, in every cycle, of a still box for each that moves: what it will sweep within the next seconds. So a
-plan that is committed keeps clear of where they may be until then, and what is left of it is looked at again whenever
-they are told anew. Where a box's way is known the swept volume is that of its way; where only its places are seen, that
-of flying straight on, and wider. Who is about to be hit is told of a shorter while, so that a plan can begin where the
-vehicle is: where the boxes will be at which instant is told beside (``Replanner.expect``), so that it leaves in time.
+In every cycle it is told where they will be when: where a box's way is known that is its way, where only its places are
+seen what ``Foresight`` makes of them.
 """
 
 from typing import NamedTuple
@@ -15,11 +12,11 @@ from jaxtyping import Float
 from jaxplan.errors import InputError
 from jaxplan.io.targets import Target
 from jaxplan.prediction.observations import Observations
-from jaxplan.replanner import CommittedPlan, Cycle, Measured, Replanner, Ways
+from jaxplan.replanner import CommittedPlan, Cycle, Foresight, Measured, MovingBoxes, Replanner, Ways
+from jaxplan.replanner.foresight import MEMORY
 from jaxplan.spline import FlatState
 from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.obstacles import World
-from jaxplan.world.update import Corners, update_world
 
 MOST = 8
 """Boxes that move, in one room: so many spare ones its planner has, whatever the level."""
@@ -31,25 +28,19 @@ AHEAD, ASIDE = 3.0, 0.8
 """s and m: they swing about places between the defender and where the target will be by then, and so far beside."""
 TRIED, ROUNDS = 4096, 8
 """Boxes that are drawn at once, and how often, farther and farther aside, before a room is given up."""
-HORIZONS = (1.8, 1.2, 0.8, 0.4, 0.0)
-"""s that are told; shorter ones where the vehicle is in the way."""
-ENOUGH = 1.0
-"""s; what is told is told anew once it does not hold what is swept within that time any more."""
-FREE = 0.4
-"""m that what is told must leave around the vehicle for plans to begin there."""
 FORESEEN, INSTANT = 1.8, 0.025
 """s for which it is told where they will be when, and from one instant to the next."""
-NEAR = 27.0
-"""m from the vehicle, within which boxes are told: as far as it flies in that time at 15 m/s. At 12 m/s a stop takes
-7 m, and what was told from 6 m on only came too late."""
+INSTANTS = INSTANT * np.arange(round(FORESEEN / INSTANT) + 1)
 STRAY = 0.15
 """m that plans keep from that beyond the vehicle's radius."""
-BEFORE, WIDER = 0.1, 0.1
-"""s since a box was seen before; and m by which what it sweeps is wider where its way is not known."""
+SEEN, UNCERTAIN = 0.1, 0.005
+"""s between two sightings of boxes, and m: the least standard deviation that their places are taken to have."""
+TURNING = 10.0
+"""m/s^2 with which boxes turn around that fly straight on before and after (arbitrary)."""
 
 
 class Mover(NamedTuple):
-    """A box, along the room's axes, that swings about a place."""
+    """A box, along the room's axes, that moves to and fro about a place."""
 
     half: Float[np.ndarray, "3"]
     """Half sides [m]."""
@@ -58,18 +49,32 @@ class Mover(NamedTuple):
     swing: Float[np.ndarray, "3"]
     """To one of the two ends [m]."""
     rate: float
-    """[rad/s]"""
+    """Speed in the middle by the length of ``swing`` [rad/s]."""
     phase: float
     """[rad]"""
+    abrupt: bool = False
+    """Whether it flies at one speed and turns around at its ends with ``TURNING``, or swings as a pendulum."""
 
     def positions(self, times: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 3"]:
         """Of its centre [m, world] at ``times`` [s]."""
-        return np.asarray(self.middle + np.sin(self.rate * times + self.phase)[:, None] * self.swing)
+        share = self._to_and_fro(times) if self.abrupt else np.sin(self.rate * times + self.phase)
+        return np.asarray(self.middle + share[:, None] * self.swing)
 
     def distances(self, times: Float[np.ndarray, "n"], points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
         """From each point [m, world] to the box at that point's time [s]; 0 inside."""
         beyond = np.maximum(np.abs(points - self.positions(times)) - self.half, 0.0)
         return np.asarray(np.linalg.norm(beyond, axis=1))
+
+    def _to_and_fro(self, times: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Where between its ends, -1 and 1, it is: evenly, but for turns of one acceleration."""
+        turn = TURNING / float(np.linalg.norm(self.swing))
+        speed = min(self.rate, np.sqrt(2.0 * turn))
+        quarter = 1.0 / speed + 0.5 * speed / turn
+        since = (times + 0.5 * self.phase / np.pi * 4.0 * quarter) % (4.0 * quarter)
+        way = np.where(since < 2.0 * quarter, 1.0, -1.0)
+        left = np.abs(since % (2.0 * quarter) - quarter)
+        slow = np.maximum(speed / turn - left, 0.0)
+        return np.asarray(way * (1.0 - speed * left + 0.5 * speed**2 / turn - 0.5 * turn * slow**2))
 
 
 class Traffic(NamedTuple):
@@ -78,45 +83,43 @@ class Traffic(NamedTuple):
     movers: tuple[Mover, ...]
     known: bool
     """Whether their ways are told, or only where they are."""
+    noise: float = 0.0
+    """Standard deviation of the places that are seen, along each axis [m]."""
+    seed: int = 0
+    """Of that."""
 
     def distances(self, times: Float[np.ndarray, "n"], points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
         """From each point [m, world] to the nearest of them at that point's time [s]; 0 inside."""
         return np.min([mover.distances(times, points) for mover in self.movers], axis=0)
 
-    def swept(self, mover: Mover, now: float, seconds: float) -> Corners:
-        """The box around what one of them sweeps within ``seconds``, as far as that is known ``now`` [s]."""
-        lower, upper = self._foreseen(mover, now, np.linspace(0.0, seconds, 32))
-        return lower.min(axis=0), upper.max(axis=0)
-
     def ways(self, now: float, keep: float) -> Ways:
         """Where all of them will be when, as far as that is known ``now`` [s]; plans are to ``keep`` so far [m]."""
-        ahead = INSTANT * np.arange(round(FORESEEN / INSTANT) + 1)
-        lower, upper = (
-            np.stack(part) for part in zip(*(self._foreseen(one, now, ahead) for one in self.movers), strict=True)
-        )
-        return Ways(now + ahead, lower, upper, keep)
-
-    def _foreseen(self, mover: Mover, now: float, ahead: Float[np.ndarray, "n"]) -> Corners:
-        """Lower and upper corners (n, 3) [m] of one of them so long [s] after ``now``."""
+        half = np.stack([mover.half for mover in self.movers])
         if self.known:
-            way, wider = mover.positions(now + ahead), 0.0
-        else:
-            before, here = mover.positions(np.array([now - BEFORE, now]))
-            way, wider = here + ahead[:, None] / BEFORE * (here - before), WIDER
-        reach = mover.half + wider
-        return way - reach, way + reach
+            places = np.stack([mover.positions(now + INSTANTS) for mover in self.movers])
+            return Ways(now + INSTANTS, places - half[:, None], places + half[:, None], keep)
+        foresight = Foresight(half, noise=max(self.noise, UNCERTAIN))
+        for time in now - SEEN * np.arange(round(MEMORY / SEEN) + 1)[::-1]:
+            foresight.see(time, self._seen(time))
+        return foresight.ways(now, INSTANTS, keep)
+
+    def _seen(self, time: float) -> Float[np.ndarray, "b 3"]:
+        """Where they are seen [m, world] at a time [s]; the same whenever it is asked for."""
+        if time < 0.0:
+            return np.full((len(self.movers), 3), np.nan)
+        rng = np.random.default_rng((self.seed, round(time / SEEN)))
+        places = np.stack([mover.positions(np.array([time]))[0] for mover in self.movers])
+        return places + self.noise * rng.normal(size=places.shape)
 
 
 class Warned:
-    """A replanner that is told what will be swept; stands where a ``Replanner`` stands in an episode."""
+    """A replanner that is told what moves; stands where a ``Replanner`` stands in an episode."""
 
     def __init__(self, replanner: Replanner, traffic: Traffic, world: World, radius: float) -> None:
         """``world`` is the planner's room, whose last ``MOST`` boxes are spare; ``radius`` is the vehicle's [m]."""
-        self._replanner, self._traffic, self._world, self._keep = replanner, traffic, world, radius + STRAY
-        self._first = len(world.boxes.center) - MOST
-        self._told: list[Corners | None] = [None] * len(traffic.movers)
-        self.changes = 0
-        """How often the planner was told something."""
+        self._replanner, self._traffic, self._keep = replanner, traffic, radius + STRAY
+        self.boxes = MovingBoxes(replanner, world, len(traffic.movers))
+        """What the replanner is told by."""
 
     @property
     def plans(self) -> list[CommittedPlan]:
@@ -135,50 +138,30 @@ class Warned:
     def step(self, now: float, observations: Observations, measured: Measured | None = None) -> Cycle:
         """Tell what has changed, then decide."""
         here = np.asarray(self.reference(np.array([now])).pos)[0] if measured is None else measured.position
-        for number, mover in enumerate(self._traffic.movers):
-            told = self._to_tell(mover, self._told[number], now, here)
-            if told is not None:
-                change = update_world(self._world, move_box=(self._first + number, told))
-                self._world, self._told[number] = change.world, told
-                self._replanner.update(change, moving=True)
-                self.changes += 1
-        self._replanner.expect(self._traffic.ways(now, self._keep))
+        self.boxes.tell(self._traffic.ways(now, self._keep), here)
         return self._replanner.step(now, observations, measured)
-
-    def _to_tell(self, mover: Mover, told: Corners | None, now: float, here: Float[np.ndarray, "3"]) -> Corners | None:
-        """What to tell anew of one of them; None where what was told will do, or it is too far away to matter."""
-        soon = self._traffic.swept(mover, now, ENOUGH)
-        if told is None and distance_to(soon, here) > NEAR:
-            return None
-        if told is not None and _holds(told, soon) and distance_to(told, here) >= FREE:
-            return None
-        every = [self._traffic.swept(mover, now, seconds) for seconds in HORIZONS]
-        return next((box for box in every if distance_to(box, here) >= FREE), every[-1])
-
-
-def distance_to(box: Corners, point: Float[np.ndarray, "3"]) -> float:
-    """From a point to a box [m]; 0 inside."""
-    lower, upper = box
-    return float(np.linalg.norm(np.maximum(np.maximum(lower - point, point - upper), 0.0)))
-
-
-def _holds(outer: Corners, inner: Corners) -> bool:
-    """Whether one box is in another."""
-    return bool((np.asarray(outer[0]) <= inner[0]).all() and (np.asarray(outer[1]) >= inner[1]).all())
 
 
 def traffic_in(
-    world: World, target: Target, start: Float[np.ndarray, "3"], until: float, count: int, speed: float, seed: int
+    world: World,
+    target: Target,
+    start: Float[np.ndarray, "3"],
+    until: float,
+    count: int,
+    speed: float,
+    seed: int,
+    abrupt: bool = False,
 ) -> tuple[Mover, ...]:
-    """Boxes that swing in free space at a maximum speed [m/s]; the same for the same seed.
+    """Boxes that fly to and fro in free space at a maximum speed [m/s]; the same for the same seed.
 
     Args:
         world: they touch nothing in it.
         target: they stay out of its way.
         start: they stay away from there [m, world] ``until`` a time [s].
         count: how many.
-        speed: in the middle of their swing.
+        speed: in the middle of their way.
         seed: of all that is drawn.
+        abrupt: whether they turn around at once, or swing.
 
     Raises ``InputError`` where the room has no place for them.
     """
@@ -186,7 +169,8 @@ def traffic_in(
     times = np.arange(0.0, target.duration, 0.05)
     flown, early = target.position(times), times[times < until]
     for attempt in range(ROUNDS):
-        for mover in _drawn(world, target, start, until, speed, (1.0 + attempt) * ASIDE, rng):
+        for drawn in _drawn(world, target, start, until, speed, (1.0 + attempt) * ASIDE, rng):
+            mover = drawn._replace(abrupt=abrupt)
             beside = mover.distances(early, np.broadcast_to(start, (len(early), 3))).min() > FIRST
             if beside and mover.distances(times, flown).min() > APART:
                 found.append(mover)

@@ -13,6 +13,8 @@ from ..figures.arena import Mark, draw_arena
 MET, HIT, LOST = "intercepted", "collision", "tracking_lost"
 HEADER = ("contestant", "episodes", "met", "95 %", "time / reference", "median s", "hit", "lost")
 HEADER += ("closest m", "relative m/s", "energy", "committed", "outside")
+WITHIN = (2.5, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0)
+"""s within which those are counted that are met, of targets that can flee for ever."""
 
 
 class Standing(NamedTuple):
@@ -67,6 +69,8 @@ def report(results: Results[Any]) -> Report:
                 f"## {family}, level {level}\n\n" + as_markdown(HEADER, [_line(one, references) for one in standings])
             )
             marks += [Mark(family, level, one.contestant, one.share, len(one.rows)) for one in standings]
+    if "evasive" in families:
+        sections.append(_by_time([row for row in rows if row["family"] == "evasive"]))
     hits = sum(row["outcome"] == HIT for row in rows if "/" in row["contestant"])
     ours = sum("/" in row["contestant"] for row in rows)
     explained = (
@@ -83,6 +87,18 @@ def report(results: Results[Any]) -> Report:
         figures={"arena.png": lambda path: draw_arena(marks, path)},
         summary=f"{len(rows)} episodes; our planners hit something in {hits} of {ours}",
     )
+
+
+def _by_time(rows: list[Row]) -> str:
+    """Shares met within a time, by level and contestant."""
+    header = ("level", "contestant", *(f"{seconds:g} s" for seconds in WITHIN))
+    lines = []
+    for level in dict.fromkeys(row["level"] for row in rows):
+        for one in _standings([row for row in rows if row["level"] == level]):
+            times = np.array([row["time_s"] for row in one.met])
+            shares = [number((times <= seconds).sum() / len(one.rows)) for seconds in WITHIN]
+            lines.append([str(level), one.contestant, *shares])
+    return "## evasive: met within\n\n" + as_markdown(header, lines)
 
 
 def _standings(rows: list[Row]) -> list[Standing]:

@@ -37,8 +37,8 @@ LEGS = (2, 3)
 """Of stops along a plan: the more, the nearer they keep to it and the more they turn (arbitrary)."""
 SLOW = 4.0
 """m/s; up to which a vehicle steps aside."""
-ASIDE = ((0.4, 0.55), (0.8, 0.75), (1.5, 1.05), (2.5, 1.4))
-"""How far [m] and in what time [s] it does: from rest that takes 10 m/s^2."""
+ASIDE = ((0.4, 0.55), (0.8, 0.75), (1.5, 1.05), (2.5, 1.4), (0.4, 0.9), (0.8, 1.25), (1.5, 1.7))
+"""How far [m] and in what time [s] it does: from rest that takes 10 m/s^2, and 4 m/s^2 where there is time."""
 
 
 class _Ways(NamedTuple):

@@ -26,7 +26,10 @@ begins where the vehicle is nearer already than it is to keep."""
 
 
 class Ways(NamedTuple):
-    """Where boxes along the room's axes are expected. Beyond the last instant nothing is known of them."""
+    """Where boxes along the room's axes are expected. Beyond the last instant nothing is known of them.
+
+    Nothing at all is known of a box whose corners are NaN.
+    """
 
     times: Float[np.ndarray, "n"]
     """Ascending [s], on the clock of the cycles; 0.05 s apart or less."""
@@ -39,10 +42,15 @@ class Ways(NamedTuple):
 
 
 def usual_ways(ways: Ways) -> Ways:
-    """Arrays of float64. Raises ``InputError`` for shapes that do not fit, and for numbers that are not finite."""
+    """Arrays of float64, of the boxes that are known of.
+
+    Raises ``InputError`` for shapes that do not fit, and for numbers that are not finite.
+    """
     times = np.atleast_1d(np.asarray(ways.times, dtype=float))
     count = np.shape(ways.lower)[0] if np.ndim(ways.lower) else 0
     lower, upper = (as_shaped("ways: corner", part, (count, len(times), 3)) for part in ways[1:3])
+    known = ~(np.isnan(lower).all(axis=(1, 2)) & np.isnan(upper).all(axis=(1, 2)))
+    lower, upper = lower[known], upper[known]
     finite = all(np.isfinite(part).all() for part in (times, lower, upper, ways.keep))
     if not finite or not (np.diff(times) > 0.0).all() or not (lower <= upper).all() or not ways.keep >= 0.0:
         raise InputError("ways: want ascending finite times, lower <= upper at each of them, and keep of at least 0 m")

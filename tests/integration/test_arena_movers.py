@@ -47,7 +47,7 @@ def flown(planner, world, traffic, cycles=36):
     for cycle in range(cycles):
         guide.step(0.1 * cycle, first_observation(0.1 * cycle, GOAL))
     times = np.arange(0.0, 0.1 * cycles, 0.01)
-    return times, guide.reference(times).pos, guide.changes
+    return times, guide.reference(times).pos, guide.boxes.changes
 
 
 def crossing(phase):
