@@ -10,11 +10,9 @@ from jaxtyping import Bool, Float, Int, UInt32
 
 from jaxplan.arrays import AnyArray
 from jaxplan.batching import at_fixed_width, pick
-from jaxplan.knots import KnotConfig
 from jaxplan.planner.capture import Prospect, straight_capture_times
 from jaxplan.planner.descent import Descend
 from jaxplan.planner.kernels.goals import reasons_against
-from jaxplan.planner.kernels.routes import place_waypoints
 from jaxplan.planner.placed import MatchPlaced
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.planner.rollouts import Flyer
@@ -181,7 +179,10 @@ class Parts(NamedTuple):
             behind = stop_points(self.lattices, self.world, paths, velocities)
             stops = np.where(passing[:, None], behind[member], stops)
 
-        routes = routes_along(paths.points[member], stops, self.config.knots)
+        def place(some: Members) -> Routes:
+            return self.stations.route(paths.points[member[some]], stops[some])
+
+        routes = at_fixed_width(place, np.arange(len(member)), self.config.width)
         return routes if velocities is None else routes._replace(velocity=velocities[member].T)
 
     def allocations(self, state: FlatState) -> tuple[Allocation, ...]:
@@ -272,16 +273,3 @@ class Parts(NamedTuple):
         )
         reasons[looked_at[~keeps]] |= np.uint32(Reason.CLEARANCE)
         return Trajectories(splines, replace(margins, clearance=clearance, reasons=reasons))
-
-
-def routes_along(paths: Float[np.ndarray, "k l 3"], stops: Float[np.ndarray, "k 3"], config: KnotConfig) -> Routes:
-    """Waypoints along the corners of paths, and where each goes on to behind its goal [m, world]."""
-    placed = place_waypoints(paths, stops, config)
-    return Routes(
-        waypoints=placed.waypoints,
-        count=placed.count,
-        meet=placed.meet,
-        samples=placed.samples,
-        reasons=np.where(placed.whole, np.uint32(0), np.uint32(Reason.PREFIX_ONLY)),
-        velocity=np.full((3, len(paths)), np.nan),
-    )

@@ -15,7 +15,7 @@ from jaxplan.arrays import AnyArray, Scalar
 from jaxplan.arrival import Arrival, match_arrival, time_to
 from jaxplan.feasibility.classifier import Classifier
 from jaxplan.kept import kept
-from jaxplan.knots import MAX_WAYPOINTS
+from jaxplan.knots import MAX_WAYPOINTS, select_routes
 from jaxplan.minsnap.quadratic_program import Passage
 from jaxplan.minsnap.spline_batch import SplineBatch, fit
 from jaxplan.numerics import safe_norm
@@ -25,6 +25,7 @@ from jaxplan.policy.protocol import Policy
 from jaxplan.prediction.candidates import Candidates, reject_early
 from jaxplan.selection import Margins, check_flight
 from jaxplan.spline import FlatState
+from jaxplan.status import Reason, bit
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.vehicle.reach import reach, sideways_acceleration
 from jaxplan.world.obstacles import World
@@ -63,6 +64,13 @@ class Reject(Protocol):
         """``state`` is where the plan begins."""
 
 
+class Route(Protocol):
+    """Waypoints along paths."""
+
+    def __call__(self, paths: Float[AnyArray, "k l 3"], stops: Float[AnyArray, "k 3"]) -> Routes:
+        """Corners of the paths, and where each goes on to behind its goal [m, world]."""
+
+
 @runtime_checkable
 class Match(Protocol):
     """Durations that arrive at given times."""
@@ -97,6 +105,7 @@ class Stations(NamedTuple):
     """The compiled functions."""
 
     reject: Reject
+    route: Route
     match_policy: Match
     match_profile: Match
     solve: Solve
@@ -112,6 +121,18 @@ def compile_stations(
         times = jnp.asarray(candidates.arrival_times)
         farthest = jnp.asarray(reach(vehicle, safe_norm(jnp.asarray(state.vel)), times))
         return reject_early(candidates, world, jnp.asarray(state.pos), config.padding, farthest)
+
+    @kept
+    def route(paths: Float[Array, "k l 3"], stops: Float[Array, "k 3"]) -> Routes:
+        routes = select_routes(paths, config.knots, stops=stops)
+        return Routes(
+            waypoints=jnp.moveaxis(routes.knots.waypoints, 0, -1),
+            count=routes.knots.count,
+            meet=routes.meet,
+            samples=jnp.moveaxis(routes.samples, 0, -1),
+            reasons=bit(~routes.whole, Reason.PREFIX_ONLY),
+            velocity=jnp.full((3, len(paths)), jnp.nan),
+        )
 
     def match(
         policy: Policy,
@@ -154,7 +175,7 @@ def compile_stations(
         times, least = np.asarray(arrival_times), np.asarray(least_alpha)
         return profile_arrival(waypoints, count, meet, velocity, times, least, acceleration, config.arrival)
 
-    return Stations(reject, kept(functools.partial(match, policy)), by_profile, solve)
+    return Stations(reject, route, kept(functools.partial(match, policy)), by_profile, solve)
 
 
 def _at_target(routes: Routes, durations: Float[Array, "m k"], target: Float[Array, "3"]) -> Float[Array, "n 2 k"]:

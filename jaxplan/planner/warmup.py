@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxplan.compilation import uncollected
 from jaxplan.planner.fallbacks import Stops
-from jaxplan.planner.parts import Parts, routes_along
+from jaxplan.planner.parts import Parts
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.planner.refined import Seed
 from jaxplan.planner.refinement import refine
@@ -28,7 +28,7 @@ def compile_all(stations: Stations, asked: Sequence[Match], config: PlannerConfi
     """
     with uncollected(), ThreadPoolExecutor(len(LENGTHS)) as pool:
         paths = np.tile(np.asarray(state.pos), (config.width, config.path_capacity, 1))
-        whole = routes_along(paths, paths[:, -1], config.knots)
+        whole = jax.tree.map(np.asarray, stations.route(paths, paths[:, -1]))
         list(pool.map(in_float64(functools.partial(_compile, stations, asked, state, whole)), LENGTHS))
 
 

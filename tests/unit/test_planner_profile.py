@@ -1,4 +1,4 @@
-"""Waypoints and least times of many paths: those of ``jaxplan.knots`` and of the profile of speeds, in JAX."""
+"""Times by the profile of speeds, compiled: those of its policy and of the arrival matching, in JAX."""
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +8,6 @@ import pytest
 from jaxplan.arrival import Arrival, ArrivalConfig, match_arrival
 from jaxplan.knots import KnotConfig, select_routes
 from jaxplan.planner.kernels.profile import profile_arrival
-from jaxplan.planner.kernels.routes import place_waypoints
 from jaxplan.policy.speed_profile import speed_profile_policy
 from jaxplan.spline import hover
 from jaxplan.status import Reason
@@ -27,42 +26,30 @@ def paths(rng: np.random.Generator, width: int = 60, length: int = 12) -> tuple[
 
 
 @pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize("config", [KnotConfig(), KnotConfig(distance_per_knot=1.0, turning_per_knot=1.0, samples=40)])
-def test_waypoints_are_those_of_the_other_code(config: KnotConfig) -> None:
-    points, stops = paths(np.random.default_rng(8))
-    wanted = jax.jit(lambda p, s: select_routes(p, config, stops=s))(points, stops)
-    found = place_waypoints(points, stops, config)
-    assert not found.whole.all()
-    assert found.whole.any()
-    np.testing.assert_array_equal(found.count, wanted.knots.count)
-    np.testing.assert_array_equal(found.meet, wanted.meet)
-    np.testing.assert_array_equal(found.whole, wanted.whole)
-    assert_close(found.waypoints, jnp.moveaxis(wanted.knots.waypoints, 0, -1), "formula")
-    assert_close(found.samples, jnp.moveaxis(wanted.samples, 0, -1), "formula")
-
-
-@pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("config", [ArrivalConfig(), ArrivalConfig(least_alpha=0.75, tolerance=1e-2, max_calls=9)])
 @pytest.mark.parametrize("speed", [0.0, 3.0, 9.0])
 def test_times_by_the_profile_are_those_of_the_policy(speed: float, config: ArrivalConfig) -> None:
     rng = np.random.default_rng(2)
-    placed = place_waypoints(*paths(rng), KnotConfig())
+    points, stops = paths(rng)
+    routes = jax.jit(lambda p, s: select_routes(p, KnotConfig(), stops=s))(points, stops)
+    waypoints, count, meet = (
+        np.moveaxis(np.asarray(routes.knots.waypoints), 0, -1),
+        np.asarray(routes.knots.count),
+        np.asarray(routes.meet),
+    )
     velocity, state = speed * np.array([0.6, -0.64, 0.48]), hover(np.zeros(3))
     state.derivatives[1] = velocity
-    policy, width = speed_profile_policy(7.0), placed.waypoints.shape[-1]
+    policy, width = speed_profile_policy(7.0), waypoints.shape[-1]
     wanted_times, least = rng.uniform(0.1, 8.0, width), np.full(width, config.least_alpha)
     wanted_times[::7], least[::5] = 0.0, 1.3
 
     @jax.jit
     def arrive() -> Arrival:
-        course = policy.encode(jnp.asarray(placed.waypoints), jnp.asarray(placed.count))
-        meet = jnp.asarray(placed.meet)
-        return match_arrival(
-            lambda d: policy.decode(course, d), state, jnp.asarray(wanted_times), config, meet, jnp.asarray(least)
-        )
+        course = policy.encode(jnp.asarray(waypoints), jnp.asarray(count))
+        times, where = jnp.asarray(wanted_times), jnp.asarray(meet)
+        return match_arrival(lambda d: policy.decode(course, d), state, times, config, where, jnp.asarray(least))
 
-    sequences = placed.waypoints, placed.count, placed.meet
-    found, wanted = profile_arrival(*sequences, velocity, wanted_times, least, 7.0, config), arrive()
+    found, wanted = profile_arrival(waypoints, count, meet, velocity, wanted_times, least, 7.0, config), arrive()
     for mine, theirs in zip(found, wanted, strict=True):
         assert_close(mine, theirs, "solve")
     assert {0, int(Reason.ALPHA_LT_1)} <= set(np.unique(found.reasons).tolist())
