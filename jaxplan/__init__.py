@@ -24,7 +24,7 @@ _HOMES = {
     "jaxplan.prediction.predictors": ("build_predictor",),
     "jaxplan.prediction.protocol": ("PredictionConfig",),
     "jaxplan.prediction.stream": ("ObservationStream",),
-    "jaxplan.replanner": ("Foresight", "MovingBoxes", "Replanner", "Ways"),
+    "jaxplan.replanner": ("Replanner",),
     "jaxplan.spline": ("FlatState", "PiecewisePolynomial", "hover"),
     "jaxplan.status": ("PlanStatus", "Reason"),
     "jaxplan.tracking.track": ("TrackConfig", "track"),

@@ -23,10 +23,7 @@ from jaxplan.prediction.candidates import candidates_from as candidates_from
 from jaxplan.prediction.predictors import build_predictor as build_predictor
 from jaxplan.prediction.protocol import PredictionConfig as PredictionConfig
 from jaxplan.prediction.stream import ObservationStream as ObservationStream
-from jaxplan.replanner import Foresight as Foresight
-from jaxplan.replanner import MovingBoxes as MovingBoxes
 from jaxplan.replanner import Replanner as Replanner
-from jaxplan.replanner import Ways as Ways
 from jaxplan.spline import FlatState as FlatState
 from jaxplan.spline import PiecewisePolynomial as PiecewisePolynomial
 from jaxplan.spline import hover as hover
