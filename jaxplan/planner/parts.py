@@ -154,7 +154,7 @@ class Parts(NamedTuple):
         A profile takes what is not along the first leg for lost, and a route that turns at once is not followed.
         """
         position, velocity, acceleration = (np.asarray(getattr(state, name)) for name in ("pos", "vel", "acc"))
-        if not self.is_fast(state):
+        if not self.config.is_fast(state):
             return None
         for time in LEADS:
             shares = np.linspace(0.0, time, 5)[1:, None]
@@ -191,12 +191,8 @@ class Parts(NamedTuple):
         profile = Allocation(self.stations.match_profile, self.config.profile_probability)
         policy = Allocation(self.stations.match_policy, self.config.checks.least_probability)
         if asked == "both":
-            return (profile,) if self.is_fast(state) else (profile, policy)
+            return (profile,) if self.config.is_fast(state) else (profile, policy)
         return (profile,) if asked == "profile" else (policy,)
-
-    def is_fast(self, state: FlatState) -> bool:
-        """Whether a start is so fast that the policy is not asked (``PlannerConfig.policy_speed``)."""
-        return float(np.linalg.norm(np.asarray(state.vel))) > self.config.policy_speed
 
     def tried(self, state: FlatState) -> tuple[Allocation, ...]:
         """The same before whom stands who places waypoints, where that is asked for all candidates."""

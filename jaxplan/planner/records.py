@@ -113,6 +113,10 @@ class PlannerConfig:
         """Whether plans are compared by capture where futures are known: what stops or matches is not after that."""
         return self.selection == "capture" and self.meet == "pass"
 
+    def is_fast(self, state: FlatState) -> bool:
+        """Whether a start is so fast that the policy is not asked (``policy_speed``)."""
+        return float(np.linalg.norm(np.asarray(state.vel))) > self.policy_speed
+
     @property
     def least_gain(self) -> float:
         """By how much a refined plan must be sooner [s] to be taken."""

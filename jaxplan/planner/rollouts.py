@@ -209,24 +209,16 @@ def _thrust_direction(
 
 def _body_z(quat_wxyz: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3"]:
     """The body's z axis (unit, world)."""
-    w, x, y, z = quat_wxyz.tolist()
+    w, x, y, z = quat_wxyz
     return np.array([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)])
 
 
 def _tilted(quat_wxyz: Float[np.ndarray, "4"], up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4"]:
     """The attitude turned the shortest way to where body z is ``up`` (unit, world); as it is where that is opposite."""
-    before = _body_z(quat_wxyz).tolist()
-    turn = 1.0 + sum(a * b for a, b in zip(before, up.tolist(), strict=True)), *_cross(before, up.tolist())
-    size = math.sqrt(sum(part * part for part in turn))
+    before = _body_z(quat_wxyz)
+    turn = np.array([1.0 + before @ up, *np.cross(before, up)])
+    size = np.linalg.norm(turn)
     if size == 0.0:
         return quat_wxyz
-    (a, *b), (c, *d) = (part / size for part in turn), quat_wxyz.tolist()
-    along = sum(one * other for one, other in zip(b, d, strict=True))
-    aside = zip(b, d, _cross(b, d), strict=True)
-    return np.array([a * c - along, *(a * of_d + c * of_b + across for of_b, of_d, across in aside)])
-
-
-def _cross(one: list[float], other: list[float]) -> tuple[float, float, float]:
-    """Of plain numbers: a cycle wants few of these products."""
-    (a, b, c), (x, y, z) = one, other
-    return b * z - c * y, c * x - a * z, a * y - b * x
+    (a, *b), (c, *d) = turn / size, quat_wxyz
+    return np.array([a * c - np.dot(b, d), *(a * np.array(d) + c * np.array(b) + np.cross(b, d))])

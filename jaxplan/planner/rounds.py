@@ -25,12 +25,13 @@ committed plan: what won promised more (docs/decisions/0054)."""
 
 def most_rounds(parts: Parts, state: FlatState, above: float) -> float:
     """How many widths of candidates are tried beside a committed plan that is worth ``above`` [s], by capture."""
-    return np.inf if above == -np.inf else max(np.ceil(-above / (IN_FLIGHT if parts.is_fast(state) else AT_STAKE)), 1.0)
+    each = IN_FLIGHT if parts.config.is_fast(state) else AT_STAKE
+    return np.inf if above == -np.inf else max(np.ceil(-above / each), 1.0)
 
 
 def least_promise(parts: Parts, state: FlatState, table: Table, above: float) -> float:
     """What a candidate must promise [s] to be tried beside a committed plan that is worth ``above``, by capture."""
-    gain, best = PROMISING if parts.is_fast(state) else parts.config.capture.gain, table.best_first()[:1]
+    gain, best = PROMISING if parts.config.is_fast(state) else parts.config.capture.gain, table.best_first()[:1]
     return above - DOUBT if table.score[best].max(initial=-np.inf) > above + gain else np.inf
 
 

@@ -207,8 +207,7 @@ class Decision:
         steps = self._steps()
         if steps == 0:
             return None
-        speed = float(np.linalg.norm(np.asarray(self._known.start.state.vel)))
-        if not new or speed > self._planner.config.policy_speed:
+        if not new or self._planner.config.is_fast(self._known.start.state):
             self._vain.remember("refine", new)
         before, start = self._timer.total, self._known.start
         refined = self._planner.refine(start.state, self._known.candidates, seed, steps)

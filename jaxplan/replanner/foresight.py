@@ -93,7 +93,8 @@ class Foresight:
             return nowhere, nowhere
         times = np.array([time for time, _ in self._seen]) - now
         places = np.stack([centers for _, centers in self._seen], axis=1)
-        seen = np.isfinite(places).all(axis=2)
+        seen = np.isfinite(places).all(axis=2) & (times >= -MEMORY - AT_ONCE)
+        places = np.where(seen[..., None], places, np.nan)
         newest = places.shape[1] - 1 - np.argmax(seen[:, ::-1], axis=1)
         last = np.take_along_axis(places, newest[:, None, None], axis=1)[:, 0]
         offsets = np.where(seen[..., None], places - last[:, None], 0.0)

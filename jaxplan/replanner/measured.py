@@ -1,10 +1,10 @@
 """Where the next plan begins when the vehicle is not where its reference is."""
 
-import math
 from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from jaxplan.errors import InputError
 from jaxplan.replanner.records import Measured
@@ -56,31 +56,17 @@ def carried_on(measured: Measured, now: FlatState, then: FlatState, latency: flo
 def heading_near(attitude: Float[np.ndarray, "4"], yaw: float) -> float:
     """Where body x points, seen from above [rad], unwrapped to within half a turn of ``yaw``."""
     east, north, _ = _axes(attitude)[0]
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    return yaw + math.atan2(cos * north - sin * east, cos * east + sin * north)
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    return yaw + float(np.arctan2(cos * north - sin * east, cos * east + sin * north))
 
 
 def turn_from(attitude: Float[np.ndarray, "4"], yaw: float) -> float:
     """How far an attitude is turned about body z [rad] from that of the same thrust with this yaw [rad]."""
     body_x, body_y, body_z = _axes(attitude)
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    wanted = cos * body_z[2], sin * body_z[2], -sin * body_z[1] - cos * body_z[0]
-    return math.atan2(-_dot(wanted, body_y), _dot(wanted, body_x))
+    wanted = np.cross([-np.sin(yaw), np.cos(yaw), 0.0], body_z)
+    return float(np.arctan2(-(wanted @ body_y), wanted @ body_x))
 
 
-_Vector = tuple[float, float, float]
-
-
-def _axes(attitude: Float[np.ndarray, "4"]) -> tuple[_Vector, _Vector, _Vector]:
-    """Body axes in the world; as plain numbers, of which a cycle wants few."""
-    w, x, y, z = attitude.tolist()
-    double = 2.0 / (w * w + x * x + y * y + z * z)
-    return (
-        (1.0 - double * (y * y + z * z), double * (x * y + w * z), double * (x * z - w * y)),
-        (double * (x * y - w * z), 1.0 - double * (x * x + z * z), double * (y * z + w * x)),
-        (double * (x * z + w * y), double * (y * z - w * x), 1.0 - double * (x * x + y * y)),
-    )
-
-
-def _dot(one: _Vector, other: _Vector) -> float:
-    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
+def _axes(attitude: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
+    """Body axes in the world, one a row."""
+    return np.asarray(Rotation.from_quat(attitude, scalar_first=True).as_matrix().T)

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from experiments.arena.movers import MOST, Mover, Traffic, Warned
+from jaxplan.errors import InputError
 from jaxplan.planner import build_planner
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
 from jaxplan.prediction.observations import first_observation
-from jaxplan.replanner import Replanner
+from jaxplan.replanner import MovingBoxes, Replanner, Ways
 from jaxplan.spline import hover
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import load_world
@@ -90,3 +91,22 @@ def test_who_stands_in_the_way_of_a_box_leaves_in_time(planner, world):
 def test_what_is_far_away_is_not_told(planner, world):
     far = crossing(0.0)._replace(middle=START + np.array([0.0, 0.0, 50.0]))
     assert flown(planner, world, Traffic((far,), True), cycles=3)[2] == 0
+
+
+def test_boxes_that_are_not_known_of_are_told_once_they_are(planner, world):
+    replanner = Replanner(planner, nowhere, hover(START))
+    boxes, times = MovingBoxes(replanner, world, 2), np.arange(0.0, 1.8, 0.025)
+    lower = np.full((2, len(times), 3), [2.0, 2.0, 0.5])
+    lower[1] = np.nan
+    ways = Ways(times, lower, lower + 0.5, 0.3)
+    boxes.tell(ways, START)
+    assert boxes.changes == 1
+    boxes.tell(ways, START)  # nothing new
+    assert boxes.changes == 1
+    lower[1] = [-2.0, 2.0, 0.5]
+    boxes.tell(Ways(times, lower, lower + 0.5, 0.3), START)
+    assert boxes.changes == 2
+    with pytest.raises(InputError, match="moving boxes: have ways of 1, want those of 2"):
+        boxes.tell(Ways(times, lower[:1], lower[:1] + 0.5, 0.3), START)
+    with pytest.raises(InputError, match="moving boxes"):
+        MovingBoxes(replanner, world, len(world.boxes.center) + 1)

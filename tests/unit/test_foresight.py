@@ -89,6 +89,7 @@ def test_only_what_has_been_seen_lately_has_ways():
     np.testing.assert_array_equal(np.isfinite(ways.lower).all(axis=(1, 2)), [True, False])
     assert ways.keep == 0.3
     assert_close(ways.times, 0.1 + LEADS, "formula")
+    assert np.isnan(foresight.ways(2.0 * MEMORY, LEADS, 0.3).upper).all()
     foresight.see(2.0 * MEMORY, np.full((2, 3), np.nan))
     assert np.isnan(foresight.ways(2.0 * MEMORY, LEADS, 0.3).upper).all()
 
