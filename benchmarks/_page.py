@@ -94,7 +94,12 @@ def _start(rows: Mapping[str, _ratios.Rows]) -> str:
         for row in rows.get("start", ())
     ]
     heads = ["start", "processor s", "wall s", "memory MB", "at most MB"]
-    return "## A start, until it can fly\n\n" + _table(heads, lines) if lines else ""
+    text = """## A start, until it can fly
+
+Until everything that a flight may call is ready; "to a plan", until README's example has its plan, from which nothing
+else is compiled.
+"""
+    return f"{text}\n{_table(heads, lines)}" if lines else ""
 
 
 def _how(run: Mapping[str, Any]) -> str:
