@@ -96,9 +96,14 @@ class Passing:
     def _apart(
         self, positions: Float[np.ndarray, "k n 3"], instants: Bool[np.ndarray, "m"] | slice = slice(None)
     ) -> Float[np.ndarray, "k"]:
-        """Least distance [m] from all boxes at these instants; inf where there is nothing, -inf for what is NaN."""
+        """Least distance [m] from all boxes at these instants; inf where there is nothing, -inf for what is NaN.
+
+        Within a box, which may be larger than what is seen, it is negative: less is deeper, and one can leave it.
+        """
         least = np.full(len(positions), np.inf)
         for lower, upper in zip(self._ways.lower[:, instants], self._ways.upper[:, instants], strict=True):
-            beyond = np.maximum(np.maximum(lower - positions, positions - upper), 0.0)
-            least = np.minimum(least, np.sqrt((beyond**2).sum(axis=2)).min(axis=1, initial=np.inf))
+            beyond = np.maximum(lower - positions, positions - upper)
+            outside = np.sqrt((np.maximum(beyond, 0.0) ** 2).sum(axis=2))
+            apart = outside + np.minimum(beyond.max(axis=2), 0.0)
+            least = np.minimum(least, apart.min(axis=1, initial=np.inf))
         return np.asarray(np.where(np.isnan(least), -np.inf, least))

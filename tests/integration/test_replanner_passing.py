@@ -21,6 +21,7 @@ from oracles.planner_cases import CONFIG, START
 from tolerances import tolerance
 
 HALF, KEEP = np.array([0.3, 0.2, 0.4]), 0.33
+HERE = Measured(START, np.zeros(3), np.zeros(3))
 
 
 @pytest.fixture(scope="module")
@@ -44,12 +45,13 @@ def sliding(begin, velocity, now=0.0, seconds=1.8):
 
 
 def apart(ways, position):
-    """From one place at each instant to the nearest box, one by one."""
+    """From one place at each instant to the nearest box, one by one; negative where it is inside, to the next face."""
     least = np.inf
     for lower, upper in zip(ways.lower, ways.upper, strict=True):
         for n in range(len(ways.times)):
             nearest = np.minimum(np.maximum(position[n], lower[n]), upper[n])
-            least = min(least, float(np.linalg.norm(position[n] - nearest)))
+            depth = np.minimum(position[n] - lower[n], upper[n] - position[n]).min()
+            least = min(least, -float(depth) if depth > 0.0 else float(np.linalg.norm(position[n] - nearest)))
     return least
 
 
@@ -87,11 +89,22 @@ def test_a_hover_that_will_be_hit_is_left_in_time(planner, course):
     times = np.arange(0.0, 4.0, 0.01)
     box = begin + times[:, None] * velocity
     ways = Ways(times, (box - HALF)[None], (box + HALF)[None], KEEP)
-    assert apart(ways, np.tile(START, (len(times), 1))) == 0.0
+    assert apart(ways, np.tile(START, (len(times), 1))) < 0.0
     assert apart(ways, replanner.reference(times).pos) >= KEEP - 0.02  # between the instants that are looked at
     assert PlanStatus.BRAKE in status
     assert PlanStatus.BLOCKED not in status
     assert compilations() == counted
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_who_is_inside_what_a_box_may_fill_makes_way(planner, axis):
+    """A box is expected to stray: one may be within what it may fill, and all ways with it, and still leave it."""
+    times, off = np.arange(0.0, 1.8, 0.025), np.eye(3)[axis]
+    around = START + (0.3 * times[:, None] - 1.15) * off
+    replanner = Replanner(planner, nowhere, hover(START))
+    replanner.expect(Ways(times, (around - 1.2)[None], (around + 1.2)[None], KEEP))
+    assert replanner.step(0.0, first_observation(0.0, START), HERE).status is PlanStatus.BLOCKED
+    assert (replanner.committed.goal - START) @ off > 0.2
 
 
 def test_who_is_not_in_the_way_stays(planner):
@@ -180,9 +193,6 @@ class Model(Rollout):
         same = dict.fromkeys(("clearance", "error", "twist"), np.full(count, 0.5))
         followed = np.full(count, True) if alone or self._followed is None else np.arange(count) == self._followed
         return Rollouts(positions=positions, clear=np.full(count, True), followed=followed, **same)
-
-
-HERE = Measured(START, np.zeros(3), np.zeros(3))
 
 
 @pytest.mark.parametrize(("place", "status"), [(-0.5, PlanStatus.BRAKE), (0.5, PlanStatus.BLOCKED)])
