@@ -42,24 +42,26 @@ class CaptureConfig:
     """m/s^2; how much a plan can be corrected sideways, on average: a fraction of what the vehicle has, since what is
     to come is learned little by little."""
     horizon: float = 2.0
-    """Seconds that are looked ahead."""
+    """Seconds that are looked ahead at least,"""
+    farthest: float = 4.0
+    """and at most, where the target is predicted for so long, as in large rooms (docs/decisions/0056)."""
     gain: float = 0.05
     """By how much sooner another plan must be expected to capture [s] to replace the committed one."""
 
     def __post_init__(self) -> None:
         require_positive("capture", self, "radius")
         require_at_least("capture", self, 2.0 * STEP, "horizon")
+        require_at_least("capture", self, self.horizon, "farthest")
         require_at_least("capture", self, 0.0, "reaction", "correction", "gain")
 
-    @property
-    def times(self) -> Float[np.ndarray, "u"]:
-        """The instants that are looked at [s from a plan's start]."""
-        return STEP * np.arange(round(self.horizon / STEP) + 1)
+    def times(self, known: float) -> Float[np.ndarray, "u"]:
+        """The instants that are looked at [s from a plan's start] where the target is predicted until ``known`` [s]."""
+        until = min(max(known, self.horizon), self.farthest)
+        return STEP * np.arange(round(until / STEP) + 1)
 
-    @property
-    def reach(self) -> Float[np.ndarray, "u"]:
-        """How far from a plan [m] the target is captured at each of them."""
-        since = np.maximum(self.times - self.reaction, 0.0)
+    def reach(self, times: Float[np.ndarray, "u"]) -> Float[np.ndarray, "u"]:
+        """How far from a plan [m] the target is captured at each of some instants [s]."""
+        since = np.maximum(times - self.reaction, 0.0)
         return np.asarray(self.radius + 0.5 * self.correction * since**2)
 
 
@@ -72,7 +74,7 @@ class Prospect(NamedTuple):
     """[m, world]"""
     weights: Float[np.ndarray, "n"]
     reach: Float[np.ndarray, "u"]
-    """As ``CaptureConfig.reach``."""
+    """As ``CaptureConfig.reach`` has it."""
 
     def thinned(self) -> "Prospect":
         """Every second future at every second instant, to compare many at little cost."""
@@ -98,13 +100,13 @@ def prospect_of(futures: Futures, config: CaptureConfig) -> Prospect:
         chosen = chosen[np.linspace(0, len(chosen) - 1, MOTIONS).round().astype(int)]
     weights = np.asarray(futures.weights, dtype=np.float64)[chosen]
     few = Futures(times=futures.times, positions=np.asarray(futures.positions)[chosen], weights=weights)
-    times, reach = config.times, config.reach
+    times = config.times(float(np.asarray(futures.times)[-1]))
     motions, missing = np.moveaxis(few.at(times), 0, 1), MOTIONS - len(chosen)
     return Prospect(
         times=times,
         motions=np.concatenate([motions, np.repeat(motions[:, :1], missing, axis=1)], axis=1),
         weights=np.pad(weights / weights.sum(), (0, missing)),
-        reach=reach,
+        reach=config.reach(times),
     )
 
 

@@ -66,6 +66,8 @@ class Seed(NamedTuple):
     """Where the target is then [m, world]."""
     likelihood: float
     """Of that motion, as candidates have it."""
+    late: bool = False
+    """Whether that is after all that is predicted: the target is taken to wait where it is expected last."""
 
 
 class Refined(NamedTuple):

@@ -28,6 +28,8 @@ ROWS = 48
 """Instants of the target's motion that the optimiser is told, evenly to the last candidates' (arbitrary)."""
 DESCENT = DescentConfig(barrier=3e-3, rate=0.75, slack=0.1)
 """From plans that the policy allotted times to; found by trying on 33 of them (docs/decisions/0028)."""
+LATER = 1.3
+"""How much longer than until a late meeting the target is taken to wait (arbitrary)."""
 VIOLATION = 0.02
 """A margin of the optimiser below 0 by less counts as kept: the last look decides (arbitrary)."""
 START_SPARE = 5e-3
@@ -78,7 +80,7 @@ def refine(
     for nth in range(TRIES):
         limits = _limits(parts, state, asked.radius, config, SLOWER**nth)
         found = parts.descend(parts.room, state, target, limits, starts, descent)
-        refined = _judged(parts, state, asked, found, seed.likelihood)
+        refined = _judged(parts, state, asked, found, seed)
         if refined.reasons != Reason.UNTRACKABLE or steps < config.iterations:
             break
         starts = np.concatenate([slowed(found.variables, SLOWER)[None], asked.starts])
@@ -89,7 +91,7 @@ def _asked(
     parts: Parts, state: FlatState, candidates: Candidates, seed: Seed, config: RefinementConfig
 ) -> _Asked | None:
     """None where the target's motion is not known."""
-    expected = _expected(candidates)
+    expected = _expected(candidates, LATER * seed.meeting if seed.late else 0.0)
     if expected is None:
         return None
     offset = np.asarray(seed.goal) - expected.at(seed.meeting)
@@ -101,12 +103,12 @@ def _asked(
     return _Asked(expected, offset, radius, np.concatenate([flatten(start).T for start in starts]))
 
 
-def _judged(parts: Parts, state: FlatState, asked: _Asked, found: Descended, likelihood: float) -> Refined:
+def _judged(parts: Parts, state: FlatState, asked: _Asked, found: Descended, seed: Seed) -> Refined:
     """What a descent has found, with all that is against it; the model flies what is good otherwise."""
     config, time, spline = parts.config.refinement, found.time, found.spline
     assert config is not None
     verdict = validate(spline, parts.room, parts.vehicle, parts.keep, _strict(parts, config), start=state)
-    late = Reason.ALPHA_LT_1 if time > asked.expected.horizon else Reason(0)
+    late = Reason.ALPHA_LT_1 if time > asked.expected.horizon and not seed.late else Reason(0)
     unkept = Reason(0) if found.least >= -VIOLATION else Reason.LIMITS
     reasons = late | unkept | _against(verdict.faults)
     if not reasons and parts.flyer is not None and not parts.flyer.follows(spline):
@@ -115,7 +117,7 @@ def _judged(parts: Parts, state: FlatState, asked: _Asked, found: Descended, lik
         spline=spline,
         goal=asked.expected.at(time) + asked.offset,
         arrival_time=time,
-        score=parts.config.likelihood_weight * likelihood - time,
+        score=parts.config.likelihood_weight * seed.likelihood - time,
         reasons=reasons,
         clearance=verdict.clearance,
     )
@@ -134,20 +136,21 @@ def _against(faults: Fault) -> Reason:
     return body | place | shape
 
 
-def _expected(candidates: Candidates) -> Expected | None:
-    """From the candidates' mean; before the first of them the target comes as fast as it goes on.
+def _expected(candidates: Candidates, until: float) -> Expected | None:
+    """From the candidates' mean, at least ``until`` so long [s]; None from fewer than two instants.
 
-    None from fewer than two instants.
+    Before the first of them the target comes as fast as it goes on, behind the last one it waits.
     """
     instants, means, spread = mean_motion(candidates)
     if len(instants) < 2 or instants[-1] <= 0.0:
         return None
-    interval = float(instants[-1]) / (ROWS - 1)
+    horizon = float(instants[-1])
+    interval = max(horizon, until) / (ROWS - 1)
     times = interval * np.arange(ROWS)
     position = np.stack([np.interp(times, instants, means[:, axis]) for axis in range(3)], axis=1)
     early = np.minimum(times - instants[0], 0.0)[:, None]
     position += early * (means[1] - means[0]) / (instants[1] - instants[0])
-    return Expected(interval, position, np.interp(times, instants, spread))
+    return Expected(interval, position, np.interp(times, instants, spread), horizon)
 
 
 def _limits(parts: Parts, state: FlatState, radius: float, config: RefinementConfig, slower: float) -> Limits:

@@ -37,11 +37,8 @@ class Expected(NamedTuple):
     """[m]"""
     spread: Float[np.ndarray, "n"]
     """Of the predicted positions around it [m]."""
-
-    @property
-    def horizon(self) -> float:
-        """Until when it is known [s]."""
-        return self.interval * (len(self.position) - 1)
+    horizon: float
+    """Until when it is known [s]; it rests behind that."""
 
     def at(self, time: Float[np.ndarray, "*t"] | float) -> Float[np.ndarray, "*t 3"]:
         """Where the target is at one instant or at several [s]."""

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxplan.planner import Approaches, Corrections, Plans, Prospect, Refined, Rollouts, Seed, Stops
+from jaxplan.planner.capture import STEP
 from jaxplan.prediction.candidates import Candidates
 from jaxplan.replanner.ahead import Ahead
 from jaxplan.replanner.governor import Lag
@@ -104,19 +105,23 @@ def seed_of_plan(among: Plans | Approaches, place: int, candidates: Candidates) 
         meeting=float(among.arrival_times[place]) + late,
         goal=among.goals[place],
         likelihood=likelihood,
+        late=isinstance(among, Approaches),
     )
 
 
 def seed_towards(prospect: Prospect, spline: PiecewisePolynomial, since: float, radius: float) -> Seed:
     """What is left of a plan ``since`` [s of its own time], to meet the expected target where it first comes nearest.
 
-    Within ``radius`` [m] nothing is nearer.
+    Within ``radius`` [m] nothing is nearer. Behind the last instant of the prospect the target is taken to wait.
     """
-    at = np.minimum(since + prospect.times, float(spline.duration))
-    mean = prospect.mean
-    apart = np.linalg.norm(np.asarray(spline.evaluate(at))[:, :3] - mean, axis=1)
+    known, latest = len(prospect.times), float(prospect.times[-1])
+    left = max(float(spline.duration) - since, latest)
+    times = np.concatenate([prospect.times, np.arange(latest + STEP, left, STEP)])
+    mean = prospect.mean[np.minimum(np.arange(len(times)), known - 1)]
+    way = np.asarray(spline.evaluate(np.minimum(since + times, float(spline.duration))))[:, :3]
+    apart = np.linalg.norm(way - mean, axis=1)
     first = int(np.argmax(apart <= max(radius, float(apart.min()) + 0.02)))
-    return Seed(spline=spline, since=since, meeting=float(prospect.times[first]), goal=mean[first], likelihood=1.0)
+    return Seed(spline, since, float(times[first]), mean[first], 1.0, late=first >= known)
 
 
 def seed_of_committed(plan: CommittedPlan, incumbent: Incumbent, takeover: float) -> Seed:

@@ -132,7 +132,7 @@ class Decision:
         if best >= 0:
             refined = self._refined(seed_of_plan(approaches, best, candidates), -np.inf)
             approached = chosen_from(approaches, best, float(approaches.alpha[best]))
-            return (PlanStatus.INTERCEPT, refined) if refined else (PlanStatus.APPROACH, approached)
+            return (self._status(refined), refined) if refined else (PlanStatus.APPROACH, approached)
         if not self._known.certain:
             return self.stop(PlanStatus.BRAKE)
         if (np.asarray(candidates.reasons) & np.uint32(Reason.TARGET_LOST)).all():
@@ -157,7 +157,7 @@ class Decision:
             spline, since = rival.chosen.spline, 0.0
         seed = seed_towards(prospect, spline, since, self._config.reach)
         refined = self._refined(seed, rival.score, new=rival.chosen is not None)
-        return (PlanStatus.INTERCEPT, refined) if refined else (rival.status, rival.chosen)
+        return (self._status(refined), refined) if refined else (rival.status, rival.chosen)
 
     def _soonest(self, rival: _Rival, plans: Plans, prospect: Prospect) -> _Rival:
         """The best of plans and corrections.
@@ -214,7 +214,7 @@ class Decision:
         self._timer.lap("refine")
         if refined is not None and steps is not None:
             self._pace.took(self._timer.total - before, steps)
-        if refined is None or refined.reasons or not self._is_better(refined, score):
+        if refined is None or refined.reasons or not self._is_better(refined, seed, score):
             return None
         if not self._passes(refined.spline):
             self.refused += 1
@@ -222,8 +222,15 @@ class Decision:
         self._vain.forget("refine")
         return chosen_refined(refined, seed)
 
-    def _is_better(self, refined: Refined, score: float) -> bool:
+    def _status(self, refined: Chosen) -> PlanStatus:
+        """What a refined plan is: an approach, where it meets the target after all that is predicted."""
+        latest = float(np.max(self._known.candidates.arrival_times))
+        return PlanStatus.INTERCEPT if refined.arrival_time <= latest else PlanStatus.APPROACH
+
+    def _is_better(self, refined: Refined, seed: Seed, score: float) -> bool:
         """Whether a refined plan is worth more than what it began from, and enough so."""
+        if seed.late:
+            return refined.arrival_time <= seed.meeting - self._planner.config.least_gain
         if self._known.prospect is None:
             return refined.score >= score + self._planner.config.least_gain
         return -capture_time(self._known.prospect, refined.spline) > score

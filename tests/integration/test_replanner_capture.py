@@ -7,13 +7,16 @@ import pytest
 
 from jaxplan.compilation import compilations
 from jaxplan.errors import InputError
-from jaxplan.planner import build_planner, prospect_for, select
+from jaxplan.minsnap.single import minimum_snap
+from jaxplan.planner import RefinementConfig, build_planner, prospect_for, select
+from jaxplan.planner.capture import STEP, CaptureConfig, prospect_of
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import Candidates, candidates_from, later
 from jaxplan.prediction.futures import Futures
 from jaxplan.prediction.observations import first_observation
 from jaxplan.records import replace
 from jaxplan.replanner import Replanner
+from jaxplan.replanner.choice import seed_towards
 from jaxplan.spline import FlatState, hover
 from jaxplan.status import PlanStatus, Reason
 from jaxplan.vehicle.load import load_vehicle
@@ -170,6 +173,51 @@ def test_a_target_that_turns_back_is_met(planner):
     assert apart.min() <= 0.36
     assert times[np.argmax(apart <= 0.36)] < 2.0
     assert all(cycle.jump is None or (cycle.jump[:4] <= 1e-6).all() for cycle in cycles)
+
+
+@pytest.fixture(scope="module")
+def refining():
+    config = dataclasses.replace(CONFIG, refinement=RefinementConfig())
+    built = build_planner(config, world=load_world("env1"), vehicle=load_vehicle(), policy=constant_speed_policy())
+    built.warmup(hover(START))
+    return built
+
+
+@pytest.mark.parametrize(
+    ("start", "place"), [((4.3, -4.3, 1.0), (-4.3, 4.3, 1.5)), ((0.0, -4.3, 1.0), (0.0, 4.3, 1.5))]
+)
+def test_a_target_too_far_to_be_met_while_it_is_predicted_is_approached_as_soon_as_may_be(
+    planner, refining, start, place
+):
+    """It is refined like any plan, as if the target waited where it is expected last."""
+    soon = predicted((0.0, 0.1, 0.0), place=place)
+    shorter = replace(soon.futures, times=0.2 * soon.futures.times)
+    soon = replace(soon, arrival_times=0.2 * soon.arrival_times, futures=shorter)
+    made = [Replanner(one, Always(soon), hover(np.array(start))) for one in (planner, refining)]
+    plain, sooner = (one.step(0.0, first_observation(0.0, np.array(start))) for one in made)
+    assert plain.status is sooner.status is PlanStatus.APPROACH
+    assert sooner.sooner > 1.0
+    late, early = (first_near(one.committed, soon.goals[-1]) for one in made)
+    assert early < late - 1.0
+
+
+def first_near(plan, place):
+    times = np.arange(0.0, float(plan.spline.duration), 0.01)
+    near = np.linalg.norm(np.asarray(plan.spline.evaluate(times))[:, :3] - place, axis=1) < 0.5
+    return times[np.argmax(near)] if near.any() else np.inf
+
+
+@pytest.mark.parametrize(("speed", "late"), [(9.0, False), (2.0, True)])
+def test_a_refinement_begins_where_a_plan_comes_nearest_be_it_after_all_that_is_predicted(speed, late):
+    prospect = prospect_of(predicted((0.0, 0.0, 0.0), place=(8.0, 0.0, 1.0)).futures, CaptureConfig())
+    slow = minimum_snap(np.array([[0.0, 0.0, 1.0], [8.0, 0.0, 1.0]]), [8.0 / speed + 1.0])
+    seed = seed_towards(prospect, slow, 0.5, 0.1)
+    assert seed.late is late
+    assert seed.late == (seed.meeting > prospect.times[-1])
+    there = np.asarray(slow.evaluate(0.5 + seed.meeting))[:3]
+    assert np.linalg.norm(there - seed.goal) <= 0.1
+    earlier = np.asarray(slow.evaluate(0.5 + seed.meeting - 2.0 * STEP))[:3]
+    assert np.linalg.norm(earlier - seed.goal) > 0.1
 
 
 def test_without_futures_plans_are_compared_as_in_the_paper(planner):

@@ -80,6 +80,16 @@ def test_a_target_at_rest_is_captured_when_the_way_to_it_but_for_the_radius_is_f
     assert capture_time(prospect, straight((speed, 0.0, 0.0))) == pytest.approx(2.6 / speed, **relative("formula"))
 
 
+@pytest.mark.parametrize(("known", "until"), [(0.7, 2.0), (1.9, 2.0), (3.1, 3.1), (9.0, 4.0)])
+def test_it_is_looked_as_far_ahead_as_the_target_is_predicted_within_bounds(known: float, until: float) -> None:
+    times = np.array([0.0, known])
+    moving = Futures(times=times, positions=times[None, :, None] * [[[0.0, 2.0, 0.0]]], weights=np.ones(1))
+    prospect = prospect_of(moving, CERTAIN)
+    assert prospect.times[-1] == pytest.approx(until, **relative("formula"))
+    assert len(prospect.times) == len(prospect.motions) == len(prospect.reach)
+    assert prospect.mean[-1, 1] == pytest.approx(2.0 * min(until, known), **relative("formula"))
+
+
 def test_what_is_never_reached_counts_as_the_horizon_and_the_way_that_is_left() -> None:
     prospect = prospect_of(at_rest((0.0, 7.3, 0.0)), CERTAIN)
     time = capture_time(prospect, straight((1.0, 0.0, 0.0)))
@@ -142,7 +152,7 @@ def test_while_what_was_expected_happens_the_time_falls_by_what_passes() -> None
 
 def test_more_futures_than_are_looked_at_are_thinned_and_fewer_filled_up_without_weight() -> None:
     many, few = (prospect_of(wandering(np.random.default_rng(1), count), CERTAIN) for count in (500, 5))
-    assert many.motions.shape == few.motions.shape == (len(CERTAIN.times), MOTIONS, 3)
+    assert many.motions.shape == few.motions.shape == (len(many.times), MOTIONS, 3)
     assert many.weights.sum() == pytest.approx(1.0, **relative("exact"))
     assert (few.weights[5:] == 0.0).all()
     assert few.weights.sum() == pytest.approx(1.0, **relative("exact"))

@@ -17,6 +17,7 @@ from jaxplan.tracking.track import track
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import load_world
 from oracles.planner_cases import START
+from tolerances import tolerance
 
 WAY = START + np.array([[0.0, 0.0, 0.0], [2.8, 0.4, 0.1], [5.6, 0.4, 0.2], [7.0, 0.3, 0.2]])
 SEED = Seed(minimum_snap(WAY, [1.0, 0.8, 0.8]), 0.0, 1.8, WAY[2], 1.0)
@@ -54,6 +55,26 @@ def test_a_plan_that_is_not_followed_is_made_again_more_slowly(small):
     assert hasty.arrival_time < steady.arrival_time < SEED.meeting
     assert share(small, hasty.spline) > 1.0
     assert share(small, steady.spline) < 0.9
+
+
+def test_a_meeting_after_all_that_is_predicted_is_made_sooner_where_the_seed_says_so():
+    """Whose target is predicted for 0.8 s is met later; then it is where it was expected last."""
+    vehicle, times = load_vehicle(), np.linspace(0.0, 0.8, 9)
+    planner = build_planner(
+        PlannerConfig(refinement=RefinementConfig()), world=load_world("env1"), vehicle=vehicle,
+        policy=constant_speed_policy(),
+    )  # fmt: skip
+    goals = SEED.goal + (times - 0.8)[:, None] * [0.0, 0.4, 0.0]
+    soon = candidates_from(goals[0], goals, times, np.zeros(9))
+    refused = planner.refine(hover(START), soon, SEED)
+    found = planner.refine(hover(START), soon, SEED._replace(late=True))
+    assert refused is not None
+    assert found is not None
+    assert refused.reasons & Reason.ALPHA_LT_1
+    assert not found.reasons
+    assert 0.8 < found.arrival_time < SEED.meeting - RefinementConfig().gain
+    there = found.spline.evaluate(found.arrival_time)[:3]
+    assert np.linalg.norm(there - SEED.goal) <= RefinementConfig().meet_radius + tolerance("solve")["atol"]
 
 
 def test_where_there_is_no_time_for_another_try_it_is_refused(small):

@@ -24,7 +24,7 @@ from tolerances import assert_close
 WAY = np.array([[0.0, 0.0, 0.0], [2.8, 0.4, 0.1], [5.6, 0.4, 0.2], [7.0, 0.3, 0.2]])
 SPLINE = minimum_snap(START + WAY, [1.0, 0.8, 0.8])
 SEED = Seed(SPLINE, 0.0, 1.8, START + WAY[2], 1.0)
-MOVING = Expected(0.1, SEED.goal + 0.5 * (0.1 * np.arange(40) - 1.8)[:, None] * [0.0, 1.0, 0.0], np.zeros(40))
+MOVING = Expected(0.1, SEED.goal + 0.5 * (0.1 * np.arange(40) - 1.8)[:, None] * [0.0, 1.0, 0.0], np.zeros(40), 3.9)
 
 
 def test_a_seed_s_start_goes_through_its_places_at_its_times():
