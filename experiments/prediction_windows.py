@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from jaxplan.errors import InputError
 from jaxplan.io.target_log import read_target_log, resample
 from jaxplan.io.targets import load_target, stored_targets
 from jaxplan.prediction.interpolation import interpolate
@@ -18,8 +19,8 @@ SPEEDS = np.linspace(0.5, 5.5, 10)
 FLIGHT_INTERVAL = 0.1
 _FAST = 0.7
 """Share of its maximum speed that a fast target has."""
-_DRAWN = 60
-"""Windows drawn for each that is wanted, since most of a flight is slower."""
+_DRAWN, _LEAST_DRAWN = 60, 1200
+"""Windows drawn for each that is wanted, since most of a flight is slower, and at least."""
 _MARGIN = 0.5
 _FAST_ACCELERATION = 15.0
 """m/s^2 that a fast flight may need: with gravity that is a thrust-to-weight ratio of 1.8."""
@@ -63,9 +64,12 @@ def fast_windows(
         keep=48,
     )
     source = chains(world, ChainConfig(waypoints=10, margin=_MARGIN + 0.1, ahead=0.6))
-    windows = draw_windows([source], world, _DRAWN * count, rng, config)
+    windows = draw_windows([source], world, max(_DRAWN * count, _LEAST_DRAWN), rng, config)
     now = np.linalg.norm(windows[:, observed - 1] - windows[:, observed - 2], axis=-1) / dt
-    return windows[now >= _FAST * speed][:count], observed
+    fast = windows[now >= _FAST * speed][:count]
+    if not len(fast):
+        raise InputError(f"fast targets: none of {len(windows)} flights in this room is as fast as {speed:g} m/s")
+    return fast, observed
 
 
 def recorded_windows(
