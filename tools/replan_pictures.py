@@ -69,7 +69,8 @@ def replan() -> Replan:
     """The cycle of an episode that begins ``FLOWN`` seconds after the departure."""
     scenario = build_scenario(EPISODE, exhaustive=True)
     planner, predictor = scenario.planner, scenario.predictor
-    parts: Parts = inspect.getclosurevars(planner.plan_batch).nonlocals["parts"]  # what build_planner bound to it
+    bound_to = inspect.getclosurevars(inspect.unwrap(planner.plan_batch))  # unwrapped: tests check types around it
+    parts: Parts = bound_to.nonlocals["parts"]
     first = planner.plan_batch(scenario.start, predictor(_seen(scenario, scenario.departure), 0))
     spline, now = first.spline(select(first)), scenario.departure + FLOWN
     state, flown = spline.state(FLOWN), np.asarray(spline.evaluate(np.linspace(0.0, FLOWN, 40)))[:, :3]
