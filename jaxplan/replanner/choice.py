@@ -16,6 +16,10 @@ from jaxplan.replanner.records import CommittedPlan
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import PlanStatus
 
+FAR, MOVED = 2.0, 0.5
+"""s: plans that come nearest to the target later than that are moved by at most so much [m] to meet it, for a
+refinement to begin (docs/decisions/0056)."""
+
 
 class Start(NamedTuple):
     """Where and how the plans of a cycle begin."""
@@ -112,7 +116,8 @@ def seed_of_plan(among: Plans | Approaches, place: int, candidates: Candidates) 
 def seed_towards(prospect: Prospect, spline: PiecewisePolynomial, since: float, radius: float) -> Seed:
     """What is left of a plan ``since`` [s of its own time], to meet the expected target where it first comes nearest.
 
-    Within ``radius`` [m] nothing is nearer. Behind the last instant of the prospect the target is taken to wait.
+    Within ``radius`` [m] nothing is nearer. Behind the last instant of the prospect the target is taken to wait. Far
+    ahead a plan that passes it at a distance is left where it leads: moved there it would lead through obstacles.
     """
     known, latest = len(prospect.times), float(prospect.times[-1])
     left = max(float(spline.duration) - since, latest)
@@ -121,7 +126,10 @@ def seed_towards(prospect: Prospect, spline: PiecewisePolynomial, since: float, 
     way = np.asarray(spline.evaluate(np.minimum(since + times, float(spline.duration))))[:, :3]
     apart = np.linalg.norm(way - mean, axis=1)
     first = int(np.argmax(apart <= max(radius, float(apart.min()) + 0.02)))
-    return Seed(spline, since, float(times[first]), mean[first], 1.0, late=first >= known)
+    meeting, goal = float(times[first]), mean[first]
+    if meeting > FAR:
+        goal = way[first] + (goal - way[first]) * min(1.0, MOVED / max(float(apart[first]), 1e-9))
+    return Seed(spline, since, meeting, goal, 1.0, late=first >= known)
 
 
 def seed_of_committed(plan: CommittedPlan, incumbent: Incumbent, takeover: float) -> Seed:

@@ -16,7 +16,7 @@ from jaxplan.prediction.futures import Futures
 from jaxplan.prediction.observations import first_observation
 from jaxplan.records import replace
 from jaxplan.replanner import Replanner
-from jaxplan.replanner.choice import seed_towards
+from jaxplan.replanner.choice import FAR, MOVED, seed_towards
 from jaxplan.spline import FlatState, hover
 from jaxplan.status import PlanStatus, Reason
 from jaxplan.vehicle.load import load_vehicle
@@ -218,6 +218,17 @@ def test_a_refinement_begins_where_a_plan_comes_nearest_be_it_after_all_that_is_
     assert np.linalg.norm(there - seed.goal) <= 0.1
     earlier = np.asarray(slow.evaluate(0.5 + seed.meeting - 2.0 * STEP))[:3]
     assert np.linalg.norm(earlier - seed.goal) > 0.1
+
+
+@pytest.mark.parametrize("speed", [6.0, 2.0])
+def test_a_plan_that_passes_the_target_at_a_distance_is_moved_to_it_but_far_ahead(speed):
+    prospect = prospect_of(predicted((0.0, 0.0, 0.0), place=(8.0, 3.0, 1.0)).futures, CaptureConfig())
+    beside = minimum_snap(np.array([[0.0, 0.0, 1.0], [8.0, 0.0, 1.0]]), [8.0 / speed + 0.4])
+    seed = seed_towards(prospect, beside, 0.0, 0.1)
+    passed = np.asarray(beside.evaluate(min(seed.meeting, float(beside.duration))))[:3]
+    moved = np.linalg.norm(seed.goal - passed)
+    assert (seed.meeting > FAR) == (speed < 4.0)
+    assert moved == pytest.approx(MOVED if seed.meeting > FAR else 3.0, rel=0.02)
 
 
 def test_without_futures_plans_are_compared_as_in_the_paper(planner):
