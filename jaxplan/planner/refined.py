@@ -67,7 +67,8 @@ class Seed(NamedTuple):
     likelihood: float
     """Of that motion, as candidates have it."""
     late: bool = False
-    """Whether that is after all that is predicted: the target is taken to wait where it is expected last."""
+    """Whether that is later than the target is there, as of an approach, or after all that is predicted: then it is
+    taken to wait where it is expected last."""
 
 
 class Refined(NamedTuple):

@@ -59,11 +59,9 @@ def test_a_plan_that_is_not_followed_is_made_again_more_slowly(small):
 
 def test_a_meeting_after_all_that_is_predicted_is_made_sooner_where_the_seed_says_so():
     """Whose target is predicted for 0.8 s is met later; then it is where it was expected last."""
-    vehicle, times = load_vehicle(), np.linspace(0.0, 0.8, 9)
-    planner = build_planner(
-        PlannerConfig(refinement=RefinementConfig()), world=load_world("env1"), vehicle=vehicle,
-        policy=constant_speed_policy(),
-    )  # fmt: skip
+    config, times = PlannerConfig(refinement=RefinementConfig()), np.linspace(0.0, 0.8, 9)
+    world, vehicle, policy = load_world("env1"), load_vehicle(), constant_speed_policy()
+    planner = build_planner(config, world=world, vehicle=vehicle, policy=policy)
     goals = SEED.goal + (times - 0.8)[:, None] * [0.0, 0.4, 0.0]
     soon = candidates_from(goals[0], goals, times, np.zeros(9))
     refused = planner.refine(hover(START), soon, SEED)
