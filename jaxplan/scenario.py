@@ -121,7 +121,7 @@ def build_scenario(config: InterceptConfig, *, exhaustive: bool = False, planner
         departure=config.departure,
         seed=config.seed,
         clearance=distance,
-        stream=StreamConfig(observations=prediction.observations, dt=prediction.dt),
+        stream=StreamConfig.for_prediction(prediction),
     )
 
 

@@ -209,7 +209,7 @@ _MAKERS = {
 
 def _plain(world: World, target: Target, departure: float, start: Float[np.ndarray, "3"], seed: int) -> Case:
     prediction = PredictionConfig.for_world(world)
-    stream = StreamConfig(observations=prediction.observations, dt=prediction.dt)
+    stream = StreamConfig.for_prediction(prediction)
     return Case(world, target, departure, start, seed, stream)
 
 

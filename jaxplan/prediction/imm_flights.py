@@ -29,7 +29,6 @@ from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.particles import even_randoms, fastest_seen, flights_proposal
 from jaxplan.prediction.protocol import PredictionConfig, Proposal, Proposer
 from jaxplan.prediction.survival import Surroundings, surroundings_of
-from jaxplan.records import replace
 from jaxplan.status import Note
 from jaxplan.world.obstacles import World
 
@@ -42,7 +41,7 @@ _PUSHES, _SLOPE = 8, 1e-6
 
 
 class Filters:
-    """The filters of a configuration: the levels of noise, and windows padded to one length."""
+    """The filters of a configuration: the levels of noise, and what they are shown."""
 
     def __init__(self, config: PredictionConfig) -> None:
         self._config = config
@@ -54,17 +53,12 @@ class Filters:
         """Levels [m], and the logarithms of their shares."""
 
     def newest(self, observations: Observations) -> Observations:
-        """What is looked at of the observations."""
-        length = self._config.observations
-        return replace(observations, times=observations.times[-length:], positions=observations.positions[-length:])
+        """What is looked at of the observations: all of the span that a mixture knows, too."""
+        return observations.within(self._config.dt * (self._config.observations - 1))
 
     def window(self, recent: Observations) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"], int]:
         """Gaps [s], positions [m, world] and the number of the ``newest`` positions (host)."""
-        length, count = self._config.observations, len(recent.times)
-        gaps, padded = np.full(length, self._config.dt), np.repeat(recent.positions[:1], length, axis=0)
-        padded[length - count :] = recent.positions
-        gaps[length - count + 1 :] = np.diff(recent.times)
-        return gaps, padded, count
+        return np.diff(recent.times, prepend=recent.times[0]), recent.positions, len(recent.times)
 
 
 def imm_proposer(config: PredictionConfig, world: World | None, motion: MotionConfig = USUAL_MOTION) -> Proposer:

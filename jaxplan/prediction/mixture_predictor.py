@@ -18,8 +18,6 @@ LEAST_SEEN = 2
 """Positions from which on a mixture is asked: with one nothing is known of the velocity."""
 UNUSUAL = 10.0
 """Squared Mahalanobis distance per observed coordinate above which a window is unlike all that a mixture knows."""
-_EVEN = 1e-6
-"""Seconds by which the spacing of observations may differ from ``dt``."""
 
 
 class WindowMixture:
@@ -47,6 +45,10 @@ class WindowMixture:
             self._mixtures[seen, noise] = in_float64(jax.device_put)(ready) if self._on_device else here
         return self._mixtures[seen, noise]
 
+    def window(self, observations: Observations) -> Observations:
+        """The positions that it is conditioned on: ``dt`` apart, as it learned them."""
+        return observations.newest(self._config.observations, self._config.dt)
+
     def given(
         self, observations: Observations, noise: float = 0.0
     ) -> tuple[ConditionalMixture, Float[np.ndarray, "p"]] | None:
@@ -55,17 +57,17 @@ class WindowMixture:
         The latter is the newest position [m, world] and behind it the coordinates of the window. ``noise`` is the
         positions' standard deviation [m] beyond what the mixture learned with.
         """
-        times, positions = observations.times[-self._config.observations :], observations.positions
-        if len(times) < LEAST_SEEN or np.abs(np.diff(times) - self._config.dt).max() >= _EVEN:
+        positions = self.window(observations).positions
+        if len(positions) < LEAST_SEEN:
             return None
         window = np.repeat(positions[-1:], self._config.observations, axis=0)
-        window[-len(times) :] = positions[-len(times) :]
+        window[-len(positions) :] = positions
         seen = window_coordinates(window, self._config.observations, self._anchored)
-        return self._mixture(len(times), noise), np.append(positions[-1], seen)
+        return self._mixture(len(positions), noise), np.append(positions[-1], seen)
 
     def coordinates(self, observations: Observations) -> int:
         """How many the mixture is conditioned on: about the squared Mahalanobis distance of a usual window."""
-        return 3 * (min(len(observations.times), self._config.observations) - 1 + self._anchored)
+        return 3 * (len(self.window(observations).times) - 1 + self._anchored)
 
     def is_unusual(self, observations: Observations, distance: float) -> bool:
         """Whether this squared Mahalanobis distance is that of a window unlike all that the mixture knows."""

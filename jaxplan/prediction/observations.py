@@ -9,6 +9,9 @@ from jaxplan.errors import InputError
 from jaxplan.records import record
 from jaxplan.validation import as_finite, as_number
 
+_SAME_INSTANT = 1e-6
+"""Seconds by which a time may differ from that which is asked for."""
+
 
 @record
 class Observations:
@@ -20,6 +23,19 @@ class Observations:
     """Metres, world."""
     age: float = 0.0
     """Seconds from the newest position until now, the instant from which arrival times count."""
+
+    def newest(self, count: int, apart: float) -> "Observations":
+        """The newest positions that are so far ``apart`` [s], ``count`` at most; what lies between is left out."""
+        wanted = self.times[-1] - apart * np.arange(count)
+        place = np.searchsorted(self.times, wanted - _SAME_INSTANT)
+        there = np.abs(self.times[place] - wanted) < _SAME_INSTANT
+        chosen = place[: count if there.all() else int(there.argmin())][::-1]
+        return Observations(times=self.times[chosen], positions=self.positions[chosen], age=self.age)
+
+    def within(self, span: float) -> "Observations":
+        """All positions of the last ``span`` seconds, the newest one at least."""
+        first = int(np.searchsorted(self.times, self.times[-1] - span - _SAME_INSTANT))
+        return Observations(times=self.times[first:], positions=self.positions[first:], age=self.age)
 
 
 @no_type_check

@@ -79,10 +79,10 @@ def flights_proposal(
 
 def fastest_seen(observations: Observations, config: PredictionConfig) -> float:
     """How fast [m/s] the target is taken to fly at most; infinite where too little was seen to say."""
-    times, positions = (array[-config.observations :] for array in (observations.times, observations.positions))
-    if len(times) < config.observations:
+    seen = observations.newest(config.observations, config.dt)
+    if len(seen.times) < config.observations:
         return np.inf
-    speeds = np.linalg.norm(np.diff(positions, axis=0), axis=1) / np.diff(times)
+    speeds = np.linalg.norm(np.diff(seen.positions, axis=0), axis=1) / np.diff(seen.times)
     return max(FASTER * float(speeds.max()), LEAST_FASTEST)
 
 

@@ -41,7 +41,7 @@ class PredictionConfig:
     batch: int = 20
     """N_batch, samples for each interval, for predictors that sample."""
     observations: int = 10
-    """N_obs, positions that are remembered, ``dt`` apart."""
+    """N_obs, positions ``dt`` apart of which a mixture knows the future; filters take all that lie between."""
     sigma: float = 0.05
     """sigma_pred [m]: step i of the noisy prediction has the variance i * sigma^2."""
     lost_after: float = 1.0

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from jaxplan.prediction.gating import GateConfig, Sample, TrackStep, advance
 from jaxplan.prediction.interpolation import interpolate
 from jaxplan.prediction.observations import Observations
+from jaxplan.prediction.protocol import SPACING, PredictionConfig
 from jaxplan.validation import as_number, as_shaped, require_at_least, require_positive
 
 _CAPACITY = 4096
@@ -28,9 +29,9 @@ _SAME_INSTANT = 1e-9
 class StreamConfig:
     """Which samples are taken, and the spacing of what is handed on."""
 
-    observations: int = 10
-    """N_obs, most positions handed on."""
-    dt: float = 0.1
+    observations: int = 19
+    """Most positions handed on: of these every second are the paper's N_obs in a large room."""
+    dt: float = SPACING
     """Seconds between them."""
     gate: GateConfig = GateConfig()
     """Which samples belong to the track."""
@@ -43,6 +44,12 @@ class StreamConfig:
         require_at_least("observation stream", self, 1, "observations")
         require_positive("observation stream", self, "dt", "longest_gap")
         require_at_least("observation stream", self, 0.0, "future")
+
+    @classmethod
+    def for_prediction(cls, prediction: PredictionConfig) -> "StreamConfig":
+        """As many as predictors look at, ``SPACING`` apart or less, even where predictions are farther apart."""
+        between = math.ceil(prediction.dt / SPACING - _SAME_INSTANT)
+        return cls(observations=(prediction.observations - 1) * between + 1, dt=prediction.dt / between)
 
     @property
     def memory(self) -> float:
@@ -90,7 +97,7 @@ class ObservationStream:
             self._insert(sample)
 
     def observe(self, now: float) -> Observations | None:
-        """The newest positions of the track, ``dt`` apart; fewer than N_obs after a start, a gap or a jump.
+        """The newest positions of the track, ``dt`` apart; fewer after a start, a gap or a jump.
 
         None while there is no sample at all. ``age`` tells how long the target has been silent at ``now`` [s].
         """

@@ -86,11 +86,33 @@ def test_flights_unlike_those_learned_are_the_filters(predictors):
 
 
 def test_uneven_positions_are_the_filters(predictors, seen):
-    times = np.cumsum([0.0, 0.2, 0.3, 0.1, 0.2])
+    times = np.cumsum([0.0, 0.2, 0.3, 0.15, 0.25])
     uneven = Observations(times=times, positions=np.array([5.0, 5.0, 1.0]) + times[:, None] * [1.0, 0.0, 0.0])
     candidates = predictors["fused"](uneven, 0)
     assert Note(candidates.note) == Note.PREDICTOR_FALLBACK
     assert_close(candidates.goals, predictors["imm"](uneven, 0).goals, "formula")
+
+
+@pytest.mark.parametrize(("name", "share"), [("imm", 0.9), ("fused", 1.0)])
+def test_positions_between_those_of_the_mixture_tell_the_filter_more(predictors, name, share):
+    """Seen every 0.1 s where predictions are 0.2 s apart: the filter's first is a tenth nearer."""
+    windows = stored_windows("env2", 0.1, 120, np.random.default_rng(2))
+    off = {}
+    for apart in (1, 2):
+        seen = [Observations(times=0.1 * np.arange(19)[::apart], positions=window[:19:apart]) for window in windows]
+        expected = np.stack([predictors[name].predict(one).mean[0] for one in seen])
+        off[apart] = np.linalg.norm(expected - windows[:, 20], axis=-1).mean()
+    assert off[1] < share * off[2]
+
+
+def test_the_mixture_sees_none_of_them(predictors, seen):
+    fine = seen[0][0]
+    between = 0.5 * (fine.positions[1:] + fine.positions[:-1]) + 0.3
+    times, positions = np.zeros(19), np.zeros((19, 3))
+    times[::2], times[1::2] = fine.times, 0.5 * (fine.times[1:] + fine.times[:-1])
+    positions[::2], positions[1::2] = fine.positions, between
+    finer = Observations(times=times, positions=positions)
+    assert_close(predictors["particles"](finer, 0).goals, predictors["particles"](fine, 0).goals, "formula")
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -7,10 +7,11 @@ from jaxplan.errors import InputError
 from jaxplan.io.targets import load_target, stored_targets
 from jaxplan.prediction.gating import GateConfig
 from jaxplan.prediction.interpolation import interpolate
+from jaxplan.prediction.protocol import PredictionConfig
 from jaxplan.prediction.stream import ObservationStream, StreamConfig
 from tolerances import tolerance
 
-CONFIG = StreamConfig()
+CONFIG = StreamConfig(observations=10)
 
 
 def helix(times):
@@ -39,10 +40,26 @@ def test_even_samples_pass_unchanged():
 )
 def test_resampled_to_the_interval_of_the_predictions(rate, dt, error):
     times = np.arange(0.0, 4.0, 1.0 / rate)
-    seen = feed(times, helix(times), StreamConfig(dt=dt)).observe(times[-1])
+    seen = feed(times, helix(times), StreamConfig(observations=10, dt=dt)).observe(times[-1])
     assert len(seen.times) == 10
     np.testing.assert_allclose(np.diff(seen.times), dt, **tolerance("exact"))
     np.testing.assert_allclose(seen.positions, helix(seen.times), atol=error)
+
+
+@pytest.mark.parametrize(("dt", "between"), [(0.1, 1), (0.2, 2), (0.25, 3), (0.05, 1)])
+def test_predictors_find_theirs_among_the_positions(dt, between):
+    """All that a window spans, a tenth of a second apart or less; every so many are the window itself."""
+    prediction = PredictionConfig(dt=dt)
+    times = np.arange(0.0, 4.0, 0.02)
+    seen = feed(times, helix(times), StreamConfig.for_prediction(prediction)).observe(times[-1])
+    assert len(seen.times) == 9 * between + 1
+    np.testing.assert_allclose(np.diff(seen.times), dt / between, **tolerance("exact"))
+    window = seen.newest(prediction.observations, dt)
+    np.testing.assert_array_equal(window.times, seen.times[::between])
+    np.testing.assert_array_equal(window.positions, seen.positions[::between])
+    np.testing.assert_array_equal(seen.within(9 * dt).times, seen.times)
+    assert len(seen.within(4 * dt).times) == 4 * between + 1
+    assert len(seen.newest(prediction.observations, 0.77 * dt).times) == 1
 
 
 def test_shuffled_and_repeated_samples_give_exactly_the_sorted_result():
