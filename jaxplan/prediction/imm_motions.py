@@ -37,7 +37,7 @@ class MotionConfig:
     """R [m]: at speed v a coordinate of the acceleration has the deviation v^2 / R."""
     persistence: float = 1.4
     """Way [m] along which an acceleration lasts."""
-    least_acceleration: float = 0.2
+    least_acceleration: float = 0.5
     """m/s^2 at any speed."""
     max_acceleration: float = 7.5
     """m/s^2: deviation of each coordinate at high speed."""
