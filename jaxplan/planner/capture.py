@@ -36,7 +36,7 @@ class CaptureConfig:
 
     radius: float = 0.3
     """m; within which a target is captured: less than the judge's, for tracking errors."""
-    reaction: float = 0.25
+    reaction: float = 0.2
     """Seconds until a correction shows: a latency, a cycle, and turning the thrust."""
     correction: float = 3.0
     """m/s^2; how much a plan can be corrected sideways, on average: a fraction of what the vehicle has, since what is

@@ -19,8 +19,9 @@ class ReplannerConfig:
 
     period: float = 0.1
     """Seconds between two cycles (paper: about 10 Hz)."""
-    latency: float = 0.1
-    """Seconds from a cycle's observations until its plan takes over; a longer computation counts as late."""
+    latency: float = 0.05
+    """Seconds from a cycle's observations until its plan takes over; a longer computation counts as late
+    (docs/decisions/0057)."""
     most_latency: float | None = None
     """Where given, the latency follows what cycles take, from ``latency`` up to this [s]."""
     drop_late: bool = False

@@ -23,6 +23,7 @@ from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import load_world
 from tolerances import assert_close, relative, tolerance
 
+LATENCY = ReplannerConfig().latency
 START = np.array([-4.3, -4.3, 1.0])
 CONFIG = PlannerConfig(width=16, knots=KnotConfig(distance_per_knot=1.0))
 
@@ -199,13 +200,13 @@ def test_a_vehicle_off_its_reference_plans_from_where_it_is(planner):
     """Carried on with the error of its velocity to the takeover; it keeps more from obstacles than usual."""
     replanner, seen = flying(planner._replace(roll_out=lambda *_: None))
     off, faster = np.array([0.1, -0.5, 0.2]), np.array([0.3, 0.5, 0.0])
-    state = replanner.reference(np.array([0.8, 0.9]))
+    state = replanner.reference(np.array([0.8, 0.8 + LATENCY]))
     cycle = replanner.step(0.8, seen, Measured(state.pos[0] + off, state.vel[0] + faster))
     assert cycle.status in {PlanStatus.INTERCEPT, PlanStatus.APPROACH}
     plan = replanner.committed
     assert plan.from_measured
     start = plan.spline.state(0.0)
-    np.testing.assert_allclose(start.pos, state.pos[1] + off + 0.1 * faster, **tolerance("solve"))
+    np.testing.assert_allclose(start.pos, state.pos[1] + off + LATENCY * faster, **tolerance("solve"))
     np.testing.assert_allclose(start.vel, state.vel[1] + faster, **tolerance("solve"))
     np.testing.assert_allclose(start.jerk, state.jerk[1], **tolerance("solve"))
     verdict = planner.validate(plan.spline, 0.0, None, replanner.config.wider_margin)
@@ -219,7 +220,7 @@ def test_a_vehicle_that_cannot_hold_its_heading_keeps_the_one_it_has(planner, tu
     """From the takeover on, at the very places; also where it hovers, behind the plan's end."""
     replanner, seen = flying(planner)
     for now in (0.8, 30.0):
-        times = now + np.array([0.0, 0.05, 0.099, 0.1])
+        times = now + np.array([0.0, 0.5, 0.99, 1.0]) * LATENCY
         before = replanner.reference(times)
         thrust = before.acc[0] + np.array([0.0, 0.0, 9.81])
         heading = before.yaw[0, 0] + turn
@@ -253,7 +254,7 @@ def test_of_what_is_turned_nothing_but_the_heading_changes():
     np.testing.assert_allclose(after.yaw[:, 0], np.select([times < 3.5, times < 5.0], [0.0, -1.0], 1.0))
 
 
-@pytest.mark.parametrize("faster", [0.0, 4.0])
+@pytest.mark.parametrize("faster", [0.0, 8.0])
 def test_a_vehicle_that_is_blown_away_is_planned_for_before_it_is_far_off(planner, faster):
     """0.2 m beside its reference, and as much more as it moves until the next plan takes over."""
     replanner, seen = flying(planner._replace(roll_out=lambda *_: None))
@@ -271,7 +272,7 @@ def test_a_vehicle_far_off_stops_from_where_it_is_and_goes_on(planner):
     stop = replanner.committed
     end = stop.spline.state(float(stop.spline.duration))
     np.testing.assert_allclose(end.derivatives[1:], 0.0, atol=1e-4)
-    np.testing.assert_allclose(stop.spline.state(0.0).pos, replanner.reference(np.array([0.9])).pos[0])
+    np.testing.assert_allclose(stop.spline.state(0.0).pos, replanner.reference(np.array([0.8 + LATENCY])).pos[0])
     again = [replanner.step(0.1 * k, seen, measured_off(replanner, 0.1 * k, np.zeros(3))) for k in range(9, 14)]
     assert any(one.status in {PlanStatus.INTERCEPT, PlanStatus.APPROACH} for one in again)
     assert max(one.deviation for one in again[1:]) < 1e-9
