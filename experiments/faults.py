@@ -181,9 +181,9 @@ def _is_avoidable(episode: Episode, trouble: Trouble, touching: Bool[np.ndarray,
     scenario = episode.scenario
     after = [cycle.time for cycle in episode.cycles if cycle.time >= event]
     first = round((after[0] + scenario.replanning.latency) * CONTROL_RATE) if after else len(touching)
-    if first >= len(touching) or touching[:first].any() or first not in trouble.states:
+    state = None if first >= len(touching) or touching[:first].any() else trouble.state_at(first)
+    if state is None:
         return False
-    state = trouble.states[first]
     measured = measured_state(state, scenario.vehicle)
     derivatives = np.stack([measured.position, measured.velocity, measured.acceleration, np.zeros(3), np.zeros(3)])
     yaw = trouble.reference(np.array([first / CONTROL_RATE])).yaw[0]

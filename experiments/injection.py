@@ -141,6 +141,16 @@ class Trouble:
         """What would become of the vehicle from a state that it was in, in the same air and with the same rotors."""
         return self._scenario.plant.fly(state, references, self._disturbance)[1]
 
+    def state_at(self, step: int) -> PlantState | None:
+        """The vehicle's after so many steps, flown there from the one that was kept before; None where it never was."""
+        kept = max((known for known in self.states if known <= step), default=None)
+        if kept is None or step - kept > round(self._scenario.replanning.period * CONTROL_RATE):
+            return None
+        if kept == step:
+            return self.states[kept]
+        references = self.reference((kept + np.arange(step - kept + 1)) / CONTROL_RATE)
+        return self._scenario.plant.fly(self.states[kept], references, self._disturbance)[0]
+
     def _fly(
         self, state: PlantState, references: FlatState, calm: Disturbance | None = None
     ) -> tuple[PlantState, FlightLog]:

@@ -106,6 +106,17 @@ def test_a_hit_is_avoidable_where_a_stop_flown_in_the_same_air_stays_clear() -> 
     assert not faults._is_avoidable(flown, calm, ~later, event), "nothing can be done about what happens before"
 
 
+def test_a_state_between_those_that_were_kept_is_the_one_that_was_flown_through() -> None:
+    base = dataclasses.replace(closed_loop.scenario_of(EPISODE), seed=3)
+    calm = Trouble(base, "none")
+    flown = interception.fly(calm.disturbed(), guide=calm, watch=calm.watch)
+    step = round((base.departure + 0.45) * CONTROL_RATE)
+    state = calm.state_at(step)
+    assert state is not None and step not in calm.states
+    np.testing.assert_allclose(state.pos, flown.flight.position[step - 1], atol=1e-5)  # m, a float32
+    assert calm.state_at(step + 10_000) is None
+
+
 def test_what_troubles_the_vehicle_is_felt_where_it_is_off_its_reference_and_the_rest_is_told_at_once() -> None:
     base = dataclasses.replace(closed_loop.scenario_of(EPISODE), seed=3)
     flown = interception.fly(base)
