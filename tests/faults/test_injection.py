@@ -112,7 +112,8 @@ def test_a_state_between_those_that_were_kept_is_the_one_that_was_flown_through(
     flown = interception.fly(calm.disturbed(), guide=calm, watch=calm.watch)
     step = round((base.departure + 0.45) * CONTROL_RATE)
     state = calm.state_at(step)
-    assert state is not None and step not in calm.states
+    assert state is not None
+    assert step not in calm.states
     np.testing.assert_allclose(state.pos, flown.flight.position[step - 1], atol=1e-5)  # m, a float32
     assert calm.state_at(step + 10_000) is None
 
