@@ -57,49 +57,49 @@ def fused_proposer(
     most = min(max(1, round(HINDSIGHT / config.dt)), config.steps, max(1, config.observations - LEAST_SEEN))
 
     def propose(observations: Observations, rng: np.random.Generator) -> Proposal:
-        recent, coarse = filters.newest(observations), mixture.window(observations)
-        held = max(0, min(most, len(coarse.times) - LEAST_SEEN))
-        places = np.searchsorted(recent.times, coarse.times[-1 - held :])
-        window, randoms = filters.window(recent), (uniform, numbers)
-        found = filtered(motion, filters.noise, window, int(places[-1] - places[0]), BLUR, offsets, randoms)
-        start, fastest = outside_of_things(room, found.believed), fastest_seen(observations, config)
+        recent, window = filters.newest(observations), mixture.window(observations)
+        held = max(0, min(most, len(window.times) - LEAST_SEEN))
+        places = np.searchsorted(recent.times, window.times[-1 - held :])
+        shown, held_back = filters.shown(recent), int(places[-1] - places[0])
+        found = filtered(motion, filters.noise, shown, held_back, BLUR, offsets, (uniform, numbers))
+        start, fastest = outside_of_things(room, found.believed), fastest_seen(window, config)
         noise = noises[int(found.log_levels.argmax())]
-        given = mixture.given(coarse, noise)
+        given = mixture.given(window, noise)
         if given is None:
             return flights_proposal(config, room, start, found.flights, Note.PREDICTOR_FALLBACK, fastest)
         learned, distance = mixture_flights(*given, uniform, normal)
         foreseen = found.foreseen[places[1:] - places[0] - 1]
-        log_odds = _log_odds(mixture, coarse, distance, _foreseen(mixture, coarse, held, noise), foreseen)
+        log_odds = _log_odds(mixture, window, distance, _foreseen(mixture, window, held, noise), foreseen)
         chosen = np.where((choice < 1.0 / (1.0 + np.exp(-log_odds)))[:, None, None], learned, found.flights)
-        note = Note.PREDICTOR_FALLBACK if mixture.is_unusual(coarse, distance) else Note(0)
+        note = Note.PREDICTOR_FALLBACK if mixture.is_unusual(window, distance) else Note(0)
         return flights_proposal(config, room, start, chosen, note, fastest)
 
     return propose
 
 
-def _foreseen(mixture: WindowMixture, coarse: Observations, held: int, noise: float) -> Float[np.ndarray, "h"] | None:
+def _foreseen(mixture: WindowMixture, window: Observations, held: int, noise: float) -> Float[np.ndarray, "h"] | None:
     """Log-densities [log 1/m^3] that the learned mixture gave to the newest positions without having seen them.
 
     None where too few are left to ask it.
 
     Args:
         mixture: as of all flights.
-        coarse: the positions that it is conditioned on.
+        window: the positions that it is conditioned on.
         held: how many of its newest positions it is asked for.
         noise: of the positions [m], beyond what the mixture learned with.
     """
-    first = len(coarse.times) - held
-    before = mixture.given(Observations(times=coarse.times[:first], positions=coarse.positions[:first]), noise)
+    first = len(window.times) - held
+    before = mixture.given(Observations(times=window.times[:first], positions=window.positions[:first]), noise)
     if not held or before is None:
         return None
     model, seen = before
     given = conditioned(model, seen[3:])
-    return log_densities(model, given, seen[:3], coarse.positions[first:], float(np.hypot(BLUR, noise)))
+    return log_densities(model, given, seen[:3], window.positions[first:], float(np.hypot(BLUR, noise)))
 
 
 def _log_odds(
     mixture: WindowMixture,
-    coarse: Observations,
+    window: Observations,
     distance: float,
     learned: Float[np.ndarray, "h"] | None,
     foreseen: Float[np.ndarray, "h"],
@@ -108,12 +108,12 @@ def _log_odds(
 
     Args:
         mixture: as of all flights.
-        coarse: the positions that it is conditioned on.
+        window: the positions that it is conditioned on.
         distance: its squared Mahalanobis distance from the mixture's nearest component.
         learned: as ``_foreseen``.
         foreseen: the filter's log-densities of the newest positions.
     """
-    log_odds = PRIOR - 0.5 * TEMPER * max(distance - _UNUSUAL * mixture.coordinates(coarse), 0.0)
+    log_odds = PRIOR - 0.5 * TEMPER * max(distance - _UNUSUAL * mixture.coordinates(window), 0.0)
     if learned is not None:
         log_odds += TEMPER * float((learned - foreseen).sum())
     return float(np.clip(log_odds, -30.0, 30.0))

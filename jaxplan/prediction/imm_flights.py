@@ -27,7 +27,7 @@ from jaxplan.prediction.imm_motions import (
 from jaxplan.prediction.kernels.flights import COSINES, GRID, LARGEST, LARGEST_EXPONENT, filtered
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.particles import even_randoms, fastest_seen, flights_proposal
-from jaxplan.prediction.protocol import PredictionConfig, Proposal, Proposer
+from jaxplan.prediction.protocol import PredictionConfig, Proposal, Proposer, window_of
 from jaxplan.prediction.survival import Surroundings, surroundings_of
 from jaxplan.status import Note
 from jaxplan.world.obstacles import World
@@ -56,7 +56,7 @@ class Filters:
         """What is looked at of the observations: all of the span that a mixture knows, too."""
         return observations.within(self._config.dt * (self._config.observations - 1))
 
-    def window(self, recent: Observations) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"], int]:
+    def shown(self, recent: Observations) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"], int]:
         """Gaps [s], positions [m, world] and the number of the ``newest`` positions (host)."""
         return np.diff(recent.times, prepend=recent.times[0]), recent.positions, len(recent.times)
 
@@ -68,10 +68,11 @@ def imm_proposer(config: PredictionConfig, world: World | None, motion: MotionCo
     room = surroundings_of(world)
 
     def propose(observations: Observations, rng: np.random.Generator) -> Proposal:
-        window = filters.window(filters.newest(observations))
-        found = filtered(motion, filters.noise, window, 0, 0.0, offsets, randoms)
+        shown = filters.shown(filters.newest(observations))
+        found = filtered(motion, filters.noise, shown, 0, 0.0, offsets, randoms)
         start = outside_of_things(room, found.believed)
-        return flights_proposal(config, room, start, found.flights, Note(0), fastest_seen(observations, config))
+        fastest = fastest_seen(window_of(observations, config), config)
+        return flights_proposal(config, room, start, found.flights, Note(0), fastest)
 
     return propose
 

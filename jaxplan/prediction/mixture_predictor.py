@@ -9,7 +9,7 @@ from jaxplan.precision import in_float64
 from jaxplan.prediction.kinematic import constant_velocity
 from jaxplan.prediction.mixture import ConditionalMixture, Prediction, condition, draw, draw_randoms, log_density
 from jaxplan.prediction.observations import Observations
-from jaxplan.prediction.protocol import Draws, PredictionConfig, Proposal, Proposer
+from jaxplan.prediction.protocol import Draws, PredictionConfig, Proposal, Proposer, window_of
 from jaxplan.prediction.target_model import TargetModel, check_model, window_coordinates
 from jaxplan.status import Note
 from jaxplan.world.obstacles import World
@@ -47,31 +47,31 @@ class WindowMixture:
 
     def window(self, observations: Observations) -> Observations:
         """The positions that it is conditioned on: ``dt`` apart, as it learned them."""
-        return observations.newest(self._config.observations, self._config.dt)
+        return window_of(observations, self._config)
 
     def given(
-        self, observations: Observations, noise: float = 0.0
+        self, window: Observations, noise: float = 0.0
     ) -> tuple[ConditionalMixture, Float[np.ndarray, "p"]] | None:
         """The mixture for so many positions, and what it is conditioned on; None where there are too few.
 
         The latter is the newest position [m, world] and behind it the coordinates of the window. ``noise`` is the
         positions' standard deviation [m] beyond what the mixture learned with.
         """
-        positions = self.window(observations).positions
+        positions = window.positions
         if len(positions) < LEAST_SEEN:
             return None
-        window = np.repeat(positions[-1:], self._config.observations, axis=0)
-        window[-len(positions) :] = positions
-        seen = window_coordinates(window, self._config.observations, self._anchored)
+        padded = np.repeat(positions[-1:], self._config.observations, axis=0)
+        padded[-len(positions) :] = positions
+        seen = window_coordinates(padded, self._config.observations, self._anchored)
         return self._mixture(len(positions), noise), np.append(positions[-1], seen)
 
-    def coordinates(self, observations: Observations) -> int:
+    def coordinates(self, window: Observations) -> int:
         """How many the mixture is conditioned on: about the squared Mahalanobis distance of a usual window."""
-        return 3 * (len(self.window(observations).times) - 1 + self._anchored)
+        return 3 * (len(window.times) - 1 + self._anchored)
 
-    def is_unusual(self, observations: Observations, distance: float) -> bool:
+    def is_unusual(self, window: Observations, distance: float) -> bool:
         """Whether this squared Mahalanobis distance is that of a window unlike all that the mixture knows."""
-        return not distance <= UNUSUAL * self.coordinates(observations)
+        return not distance <= UNUSUAL * self.coordinates(window)
 
 
 def mixture_proposer(config: PredictionConfig, model: TargetModel, world: World | None) -> Proposer:
@@ -83,13 +83,14 @@ def mixture_proposer(config: PredictionConfig, model: TargetModel, world: World 
 
     @in_float64
     def propose(observations: Observations, rng: np.random.Generator) -> Proposal:
-        given = mixture.given(observations)
+        window = mixture.window(observations)
+        given = mixture.given(window)
         if given is None:
             return Proposal(lambda: constant_velocity(observations, offsets), None, Note.PREDICTOR_FALLBACK)
         uniform, normal = draw_randoms(config.steps, config.batch, rng)
         randoms = np.concatenate([uniform[..., None], normal], axis=-1)
         log_weights, means, scored, distance = conditional_draw(*given, randoms)
-        if mixture.is_unusual(observations, float(distance)):
+        if mixture.is_unusual(window, float(distance)):
             return Proposal(lambda: constant_velocity(observations, offsets), None, Note.PREDICTOR_FALLBACK)
         factors = np.asarray(given[0].factors)
         prediction = Prediction(offsets=offsets, log_weights=log_weights, means=means, factors=factors)

@@ -50,13 +50,14 @@ def particle_proposer(config: PredictionConfig, model: TargetModel, world: World
 
     def propose(observations: Observations, rng: np.random.Generator) -> Proposal:
         newest, note, flights = observations.positions[-1], Note(0), None
-        given = mixture.given(observations)
+        window = mixture.window(observations)
+        given = mixture.given(window)
         if given is not None:
             flights, distance = mixture_flights(*given, uniform, normal)
-            flights = None if mixture.is_unusual(observations, distance) else flights
+            flights = None if mixture.is_unusual(window, distance) else flights
         if flights is None:
             flights, note = fading_flights(observations, offsets, normal), Note.PREDICTOR_FALLBACK
-        return flights_proposal(config, room, newest, flights, note, fastest_seen(observations, config))
+        return flights_proposal(config, room, newest, flights, note, fastest_seen(window, config))
 
     return propose
 
@@ -77,12 +78,11 @@ def flights_proposal(
     return Proposal(lambda: _prediction(stopped, counts, config.offsets), Draws(goals, np.log(likelihood)), note, whole)
 
 
-def fastest_seen(observations: Observations, config: PredictionConfig) -> float:
+def fastest_seen(window: Observations, config: PredictionConfig) -> float:
     """How fast [m/s] the target is taken to fly at most; infinite where too little was seen to say."""
-    seen = observations.newest(config.observations, config.dt)
-    if len(seen.times) < config.observations:
+    if len(window.times) < config.observations:
         return np.inf
-    speeds = np.linalg.norm(np.diff(seen.positions, axis=0), axis=1) / np.diff(seen.times)
+    speeds = np.linalg.norm(np.diff(window.positions, axis=0), axis=1) / np.diff(window.times)
     return max(FASTER * float(speeds.max()), LEAST_FASTEST)
 
 

@@ -66,6 +66,11 @@ class PredictionConfig:
         return self.dt * np.arange(1, self.steps + 1)
 
 
+def window_of(observations: Observations, config: PredictionConfig) -> Observations:
+    """The newest positions ``dt`` apart, N_obs at most: what mixtures learned to look at."""
+    return observations.newest(config.observations, config.dt)
+
+
 @runtime_checkable
 class Predictor(Protocol):
     """Proposes goal candidates for the target seen so far."""
