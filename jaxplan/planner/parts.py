@@ -99,7 +99,7 @@ class Parts(NamedTuple):
         return Keep(least, checks.slow, checks.margin_per_speed, most)
 
     def reject(self, state: FlatState, candidates: Candidates) -> UInt32[np.ndarray, "k"]:
-        """Early reasons against each candidate."""
+        """Early reasons against each candidate; of a target that is lost nothing else is said: it has no place."""
         goals, times = np.asarray(candidates.goals), np.asarray(candidates.arrival_times)
         likelihood, reasons = np.asarray(candidates.likelihood), np.asarray(candidates.reasons)
         target = np.asarray(candidates.target)
@@ -109,7 +109,8 @@ class Parts(NamedTuple):
             start, distances = np.asarray(state.pos), (float(self.world.keep_in), self.config.padding)
             far = np.asarray(reach(self.vehicle, float(np.linalg.norm(np.asarray(state.vel))), times))
             solids = self.lattices.roadmap.field.solids
-            return reasons | reasons_against(solids, self.room.bounds, distances, start, goals, times, far)
+            found = reasons | reasons_against(solids, self.room.bounds, distances, start, goals, times, far)
+            return np.where(_is_lost(reasons), reasons, found)
 
         def mark(members: Members) -> _Reasons:
             some = Candidates(
@@ -121,7 +122,7 @@ class Parts(NamedTuple):
             )
             return self.stations.reject(self.world, some, state).reasons
 
-        return at_fixed_width(mark, np.arange(len(goals)), GOALS_AT_ONCE)
+        return np.where(_is_lost(reasons), reasons, at_fixed_width(mark, np.arange(len(goals)), GOALS_AT_ONCE))
 
     def score(self, state: FlatState, candidates: Candidates, prospect: Prospect | None) -> Float[np.ndarray, "k"]:
         """What is maximised [s]: the paper's eq. 9, or what flights straight to the goals promise to capture."""
@@ -269,3 +270,8 @@ class Parts(NamedTuple):
         )
         reasons[looked_at[~keeps]] |= np.uint32(Reason.CLEARANCE)
         return Trajectories(splines, replace(margins, clearance=clearance, reasons=reasons))
+
+
+def _is_lost(reasons: UInt32[np.ndarray, "k"]) -> Bool[np.ndarray, "k"]:
+    """Whether candidates are of a target that is lost."""
+    return np.asarray(reasons & np.uint32(Reason.TARGET_LOST) != 0)

@@ -164,7 +164,7 @@ def test_a_silent_target_is_lost_and_no_stale_goal_is_chased(scenario):
     plans = len(replanner.plans)
     cycle = replanner.step(5.0, Observations(times=times, positions=positions, age=4.1))
     assert (cycle.status, cycle.chosen, len(replanner.plans)) == (PlanStatus.TARGET_LOST, -1, plans)
-    assert cycle.rejected["target_lost"] == 20
+    assert cycle.rejected == {"target_lost": 20}, "and nothing is said of places that it does not have"
     state = replanner.reference(np.array([60.0]))
     np.testing.assert_allclose(state.vel, 0.0, **tolerance("solve"))
 
