@@ -1,7 +1,7 @@
 """Closed loops as one traced step: predict, replan, commit, fly to the next cycle, judge.
 
-One step is one period of one episode; ``vmap`` makes it that of a batch. A plan that is chosen takes over at the end of
-the period, so that the loop has a latency of one period as that on the host has. The committed plan is a rival, as
+One step is one period of one episode; ``vmap`` makes it that of a batch. A plan that is chosen takes over within the
+period, one latency after its observations, as on the host. The committed plan is a rival, as
 ``jaxplan.replanner.incumbent`` has it: kept while the target is still expected where it is met, and nothing scores
 better. Nothing is refined, nothing rolled out, and no stop is planned, since nothing in the room changes: every plan
 ends at rest.
@@ -22,6 +22,7 @@ from jaxplan.device.predict import Predict, Seen
 from jaxplan.device.replan import Decision, Replan
 from jaxplan.device.room import Room
 from jaxplan.device.stations import Goals
+from jaxplan.errors import InputError
 from jaxplan.interception.judging import INTERCEPTION_RADIUS
 from jaxplan.knots import MAX_WAYPOINTS
 from jaxplan.numerics import safe_norm
@@ -150,12 +151,25 @@ class LoopConfig:
         """Control steps from one cycle to the next."""
         return round(self.replanner.period * CONTROL_RATE)
 
+    @property
+    def latency(self) -> int:
+        """Control steps from a cycle until its plan takes over."""
+        return round(self.replanner.latency * CONTROL_RATE)
+
+    def __post_init__(self) -> None:
+        """Raises InputError for plans that would take over in a later period."""
+        if self.latency > self.period:
+            raise InputError(
+                f"device: have a latency of {self.replanner.latency} s, want one period, "
+                f"{self.replanner.period} s, at most"
+            )
+
 
 def build_loop(
     config: LoopConfig, vehicle: Vehicle, plant: Plant, predictors: Sequence[Predict], replan: Replan
 ) -> tuple[Begin, Advance]:
     """The two functions of an episode, pure, to be traced in float64; all ``predictors`` propose as many goals."""
-    steps, latency = config.prediction.steps, config.replanner.period
+    steps, latency = config.prediction.steps, config.replanner.latency
 
     def begin(scene: Scene, episode: Episode) -> State:
         start = jnp.asarray(scene.start, jnp.result_type(float))
@@ -163,7 +177,11 @@ def build_loop(
         return State(jnp.int32(0), plant.reset(hover, episode.key), _hold(start), _no_tally(start.dtype))
 
     def advance(scene: Scene, episode: Episode, state: State) -> State:
-        flying, takeover = state.tally.ended == Ended.FLYING, state.step + config.period
+        flying, takeover, later = (
+            state.tally.ended == Ended.FLYING,
+            state.step + config.latency,
+            state.step + config.period,
+        )
         active = flying & (state.step >= episode.departure)
         seen = _seen(scene, episode, state.step, config.prediction.observations)
         truth = _target_at(episode, state.step + jnp.arange(1, steps + 1, dtype=jnp.int32) * scene.spacing)
@@ -174,16 +192,16 @@ def build_loop(
         above = _incumbent(config, scene, state.plan, goals, takeover)
         decision = replan(scene.room, _references(state.plan, takeover), goals, above)
         plan, changed = _next(decision, goals, takeover, above)
-        rows = state.step + jnp.arange(config.period + 1, dtype=jnp.int32)
-        flown, log = plant.fly(state.plant, _references(state.plan, rows))
-        tally = _judged(config, vehicle, scene.room, episode, state.tally, rows[1:], log)
         committed = active & changed
+        kept = jax.tree.map(lambda new, old: jnp.where(committed, new, old), plan, state.plan)
+        rows = state.step + jnp.arange(config.period + 1, dtype=jnp.int32)
+        flown, log = plant.fly(state.plant, _spliced(state.plan, kept, takeover, rows))
+        tally = _judged(config, vehicle, scene.room, episode, state.tally, rows[1:], log)
         counted = tally._replace(
             cycles=tally.cycles + active.astype(jnp.int32), plans=tally.plans + committed.astype(jnp.int32)
         )
         tally = jax.tree.map(lambda new, old: jnp.where(flying, new, old), counted, state.tally)
-        kept = jax.tree.map(lambda new, old: jnp.where(committed, new, old), plan, state.plan)
-        return State(takeover, flown, kept, _timed_out(episode, takeover, tally))
+        return State(later, flown, kept, _timed_out(episode, later, tally))
 
     return begin, advance
 
@@ -206,6 +224,13 @@ def _hold(place: Float[Array, "3"]) -> Plan:
 def _references(plan: Plan, steps: Int[Array, "*n"]) -> FlatState:
     """Of a plan at control steps."""
     return plan.spline.state(_seconds(steps - plan.begin, plan.goal.dtype))
+
+
+def _spliced(before: Plan, after: Plan, takeover: Int[Array, ""], steps: Int[Array, "n"]) -> FlatState:
+    """Of one plan until another takes over, and of that from then on."""
+    mine, others = _references(after, steps), _references(before, steps)
+    over = steps >= takeover
+    return jax.tree.map(lambda new, old: jnp.where(over.reshape(-1, *[1] * (new.ndim - 1)), new, old), mine, others)
 
 
 def _seconds(steps: Int[Array, "*n"], dtype: jnp.dtype) -> Float[Array, "*n"]:

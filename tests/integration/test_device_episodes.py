@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -13,9 +14,12 @@ from experiments import on_device, table1
 from experiments.closed_loop import Defender, EpisodeConfig
 from jaxplan.cli import run
 from jaxplan.compilation import compilations
+from jaxplan.device import episodes
 from jaxplan.device.runner import Flight, Outcome, Runner
 from jaxplan.errors import InputError
 from jaxplan.io.targets import load_target
+from jaxplan.prediction.protocol import PredictionConfig
+from jaxplan.replanner import ReplannerConfig
 from tolerances import assert_close
 
 DEFENDER = Defender("mfrl")
@@ -58,6 +62,17 @@ def test_targets_are_met_by_plans_that_were_committed(outcomes: list[Outcome]) -
         assert outcome.min_distance < 0.4
         assert outcome.max_position_error < 0.4
         assert outcome.min_clearance > radius
+
+
+def test_a_plan_takes_over_within_a_period() -> None:
+    before, after = (episodes._hold(jnp.full(3, place)) for place in (1.0, 2.0))
+    spliced = episodes._spliced(before, after, jnp.int32(10), jnp.arange(20))
+    np.testing.assert_array_equal(spliced.pos, np.where(np.arange(20) < 10, 1.0, 2.0)[:, None] * np.ones(3))
+    assert not np.asarray(spliced.derivatives[:, 1:]).any()
+    config = episodes.LoopConfig(PredictionConfig(), 0.0, ReplannerConfig(period=0.1, latency=0.05))
+    assert (config.period, config.latency) == (20, 10)
+    with pytest.raises(InputError, match="latency"):
+        episodes.LoopConfig(PredictionConfig(), 0.0, ReplannerConfig(period=0.1, latency=0.2))
 
 
 def test_an_episode_depends_on_nothing_but_itself(runner: Runner, outcomes: list[Outcome]) -> None:
