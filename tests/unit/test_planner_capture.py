@@ -98,7 +98,7 @@ def test_what_is_never_reached_counts_as_the_horizon_and_the_way_that_is_left() 
 
 def test_a_correction_reaches_what_is_passed_at_a_distance() -> None:
     """1.3 m beside it at 0.5 s is too far; 0.3 m + 4 m/s^2 (t - 0.25 s)^2 is more than the distance a while later."""
-    prospect = prospect_of(at_rest((2.0, 1.3, 0.0)), CaptureConfig(correction=8.0))
+    prospect = prospect_of(at_rest((2.0, 1.3, 0.0)), CaptureConfig(reaction=0.25, correction=8.0))
     times = np.linspace(0.0, 2.0, 200001)
     apart = np.hypot(2.0 - 4.0 * times, 1.3)
     reached = times[np.argmax(apart <= 0.3 + 4.0 * np.maximum(times - 0.25, 0.0) ** 2)]
