@@ -177,11 +177,8 @@ def build_loop(
         return State(jnp.int32(0), plant.reset(hover, episode.key), _hold(start), _no_tally(start.dtype))
 
     def advance(scene: Scene, episode: Episode, state: State) -> State:
-        flying, takeover, later = (
-            state.tally.ended == Ended.FLYING,
-            state.step + config.latency,
-            state.step + config.period,
-        )
+        flying = state.tally.ended == Ended.FLYING
+        takeover, later = state.step + config.latency, state.step + config.period
         active = flying & (state.step >= episode.departure)
         seen = _seen(scene, episode, state.step, config.prediction.observations)
         truth = _target_at(episode, state.step + jnp.arange(1, steps + 1, dtype=jnp.int32) * scene.spacing)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtr
 
-from jaxplan.prediction.imm_flights import RANDOMS, Filters, outside_of_things
+from jaxplan.prediction.imm_flights import RANDOMS, Filters, as_shown, outside_of_things
 from jaxplan.prediction.imm_motions import USUAL_MOTION, MotionConfig
 from jaxplan.prediction.kernels.flights import filtered
 from jaxplan.prediction.kernels.mixture import conditioned, log_densities
@@ -21,7 +21,7 @@ from jaxplan.prediction.mixture import MODES
 from jaxplan.prediction.mixture_predictor import LEAST_SEEN, WindowMixture
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.particles import even_randoms, fastest_seen, flights_proposal, mixture_flights
-from jaxplan.prediction.protocol import PredictionConfig, Proposal, Proposer
+from jaxplan.prediction.protocol import PredictionConfig, Proposal, Proposer, window_of
 from jaxplan.prediction.survival import surroundings_of
 from jaxplan.prediction.target_model import TargetModel
 from jaxplan.status import Note
@@ -57,10 +57,10 @@ def fused_proposer(
     most = min(max(1, round(HINDSIGHT / config.dt)), config.steps, max(1, config.observations - LEAST_SEEN))
 
     def propose(observations: Observations, rng: np.random.Generator) -> Proposal:
-        recent, window = filters.newest(observations), mixture.window(observations)
+        recent, window = filters.newest(observations), window_of(observations, config)
         held = max(0, min(most, len(window.times) - LEAST_SEEN))
         places = np.searchsorted(recent.times, window.times[-1 - held :])
-        shown, held_back = filters.shown(recent), int(places[-1] - places[0])
+        shown, held_back = as_shown(recent), int(places[-1] - places[0])
         found = filtered(motion, filters.noise, shown, held_back, BLUR, offsets, (uniform, numbers))
         start, fastest = outside_of_things(room, found.believed), fastest_seen(window, config)
         noise = noises[int(found.log_levels.argmax())]

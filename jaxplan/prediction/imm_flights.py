@@ -41,7 +41,7 @@ _PUSHES, _SLOPE = 8, 1e-6
 
 
 class Filters:
-    """The filters of a configuration: the levels of noise, and what they are shown."""
+    """The filters of a configuration: the levels of noise, and which positions count."""
 
     def __init__(self, config: PredictionConfig) -> None:
         self._config = config
@@ -56,9 +56,10 @@ class Filters:
         """What is looked at of the observations: all of the span that a mixture knows, too."""
         return observations.within(self._config.dt * (self._config.observations - 1))
 
-    def shown(self, recent: Observations) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"], int]:
-        """Gaps [s], positions [m, world] and the number of the ``newest`` positions (host)."""
-        return np.diff(recent.times, prepend=recent.times[0]), recent.positions, len(recent.times)
+
+def as_shown(recent: Observations) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"], int]:
+    """What the filters are shown (host): gaps [s], positions [m, world], and how many there are."""
+    return np.diff(recent.times, prepend=recent.times[0]), recent.positions, len(recent.times)
 
 
 def imm_proposer(config: PredictionConfig, world: World | None, motion: MotionConfig = USUAL_MOTION) -> Proposer:
@@ -68,7 +69,7 @@ def imm_proposer(config: PredictionConfig, world: World | None, motion: MotionCo
     room = surroundings_of(world)
 
     def propose(observations: Observations, rng: np.random.Generator) -> Proposal:
-        shown = filters.shown(filters.newest(observations))
+        shown = as_shown(filters.newest(observations))
         found = filtered(motion, filters.noise, shown, 0, 0.0, offsets, randoms)
         start = outside_of_things(room, found.believed)
         fastest = fastest_seen(window_of(observations, config), config)

@@ -45,10 +45,6 @@ class WindowMixture:
             self._mixtures[seen, noise] = in_float64(jax.device_put)(ready) if self._on_device else here
         return self._mixtures[seen, noise]
 
-    def window(self, observations: Observations) -> Observations:
-        """The positions that it is conditioned on: ``dt`` apart, as it learned them."""
-        return window_of(observations, self._config)
-
     def given(
         self, window: Observations, noise: float = 0.0
     ) -> tuple[ConditionalMixture, Float[np.ndarray, "p"]] | None:
@@ -83,7 +79,7 @@ def mixture_proposer(config: PredictionConfig, model: TargetModel, world: World 
 
     @in_float64
     def propose(observations: Observations, rng: np.random.Generator) -> Proposal:
-        window = mixture.window(observations)
+        window = window_of(observations, config)
         given = mixture.given(window)
         if given is None:
             return Proposal(lambda: constant_velocity(observations, offsets), None, Note.PREDICTOR_FALLBACK)

@@ -21,7 +21,7 @@ from jaxplan.prediction.kinematic import expected_acceleration, newest_velocity
 from jaxplan.prediction.mixture import MODES, ConditionalMixture, Prediction
 from jaxplan.prediction.mixture_predictor import WindowMixture
 from jaxplan.prediction.observations import Observations
-from jaxplan.prediction.protocol import Draws, Flights, PredictionConfig, Proposal, Proposer
+from jaxplan.prediction.protocol import Draws, Flights, PredictionConfig, Proposal, Proposer, window_of
 from jaxplan.prediction.survival import Surroundings, believable, goals_among, surroundings_of
 from jaxplan.prediction.target_model import TargetModel
 from jaxplan.status import Note
@@ -50,7 +50,7 @@ def particle_proposer(config: PredictionConfig, model: TargetModel, world: World
 
     def propose(observations: Observations, rng: np.random.Generator) -> Proposal:
         newest, note, flights = observations.positions[-1], Note(0), None
-        window = mixture.window(observations)
+        window = window_of(observations, config)
         given = mixture.given(window)
         if given is not None:
             flights, distance = mixture_flights(*given, uniform, normal)
