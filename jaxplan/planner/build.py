@@ -50,7 +50,7 @@ from jaxplan.planner.stations import compile_stations
 from jaxplan.planner.table import outrank, reject, rescored, search, table_of
 from jaxplan.planner.timer import Timer
 from jaxplan.planner.validator import Room, Verdict, validate
-from jaxplan.planner.warmup import candidates_around, compile_all, compile_refinement, fly_once
+from jaxplan.planner.warmup import candidates_around, compile_all, compile_first, compile_refinement, fly_once
 from jaxplan.policy.placing import SEGMENTS, Place, vehicle_numbers
 from jaxplan.policy.protocol import Policy
 from jaxplan.precision import in_float64
@@ -112,8 +112,11 @@ def build_planner(
         least_padding=least if config.narrow_passages else None,
         from_faces=least,
     )
-    lattices = build_lattices(world, options)
     stations = compile_stations(config, vehicle, policy, classifier)
+    with ThreadPoolExecutor(1) as pool:
+        first = pool.submit(in_float64(compile_first), stations, config, hover(np.zeros(3)))
+        lattices = build_lattices(world, options)
+        first.result()
     descend = None if config.refinement is None else build_descent(config.refinement, vehicle)
     begin = None if placing is None else _compiled(placing, config, vehicle)
     flyer = None if config.rollouts is None else build_flyer(config.rollouts, vehicle)

@@ -32,6 +32,15 @@ def compile_all(stations: Stations, asked: Sequence[Match], config: PlannerConfi
         list(pool.map(in_float64(functools.partial(_compile, stations, asked, state, whole)), LENGTHS))
 
 
+def compile_first(stations: Stations, config: PlannerConfig, state: FlatState) -> None:
+    """Compile what every replan calls, for most lengths: beside work on the host this takes no time of its own."""
+    with uncollected():
+        paths = np.tile(np.asarray(state.pos), (config.width, config.path_capacity, 1))
+        routes = cut(jax.tree.map(np.asarray, stations.route(paths, paths[:, -1])), LENGTHS[0])
+        durations = np.ones((LENGTHS[0] - 1, config.width))
+        jax.block_until_ready(stations.solve(state, routes, durations, np.asarray(state.pos), 1.0))
+
+
 def _compile(stations: Stations, asked: Sequence[Match], state: FlatState, whole: Routes, length: int) -> None:
     """Call the stations, each with what the one before it returns."""
     routes = cut(whole, length)
