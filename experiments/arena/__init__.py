@@ -31,7 +31,7 @@ from jaxplan.world.obstacles import World
 
 from .. import closed_loop, reference_times, table1
 from .contestants import CONTESTANTS, REFERENCE, contestant
-from .families import FAMILIES, LEVELS, Case, case
+from .families import FAMILIES, LEVELS, MOST_SEEDS, Case, case
 from .movers import Traffic
 from .report import report
 
@@ -66,7 +66,7 @@ class Config:
     """Recorded flights for the family of that name: files, as --target of jaxplan intercept takes them."""
 
     seed: int = 0
-    """Of all episodes: other seeds are other targets and rooms."""
+    """Of all episodes, below 10,000: with another one they are other episodes, but for the stored flights."""
 
     def __post_init__(self) -> None:
         for kind, names, known in (("families", self.families, FAMILIES), ("levels", self.levels, LEVELS)):
@@ -82,8 +82,8 @@ class Config:
                 contestant(name)
         if not 1 <= self.episodes <= 1000:
             raise InputError(f"--episodes: have {self.episodes}, want 1 to 1000")
-        if not 0 <= self.seed < 2**31:
-            raise InputError(f"--seed: have {self.seed}, want 0 or more, below 2^31")
+        if not 0 <= self.seed < MOST_SEEDS:
+            raise InputError(f"--seed: have {self.seed}, want 0 or more, below {MOST_SEEDS}")
         if "recorded" in self.families and not self.recordings:
             raise InputError("--recordings: the family 'recorded' flies files of yours; name some, or leave it out")
 
@@ -134,7 +134,7 @@ def numbers(episode: Episode) -> Row:
     begun = flight.times >= episode.scenario.departure
     apart = np.linalg.norm(flight.position - flight.target, axis=1)[begun]
     relative = np.linalg.norm(flight.velocity[-1] - flight.target_velocity[-1])
-    status = [cycle.status for cycle in episode.cycles]
+    new = sum(cycle.status in (PlanStatus.INTERCEPT, PlanStatus.APPROACH) for cycle in episode.cycles)
     return {
         "outcome": episode.outcome,
         "time_s": float(flight.times[-1]) - episode.scenario.departure if episode.success else None,
@@ -143,8 +143,9 @@ def numbers(episode: Episode) -> Row:
         "energy_hover_s": _energy(episode),
         "clearance_m": float(flight.clearance.min()),
         "position_error_m": float(flight.position_error.max()),
-        "cycles": len(status),
-        "committed": sum(one in (PlanStatus.INTERCEPT, PlanStatus.APPROACH) for one in status),
+        "cycles": len(episode.cycles),
+        "committed": new,
+        "changes": max(new - 1, 0),
         "outside": sum(cycle.rejected.get("goal_outside", 0) for cycle in episode.cycles),
         "candidates": sum(cycle.generated for cycle in episode.cycles),
     }

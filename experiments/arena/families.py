@@ -58,6 +58,8 @@ BOX_NOISE = 0.02
 """m along each axis, with which boxes are seen that turn around at once."""
 DEPARTURE, LATE = 0.5, (0.15, 0.45)
 """s; and shares of a flight between which the defender departs in the middle of it."""
+LATER = 0.25
+"""Share of a stored flight by which the defender departs later, at most, when it comes again."""
 EVADING = 30.5
 """s that an evasive target has to be met in, the half second before the departure included."""
 APART, FREE = 3.0, 0.6
@@ -76,8 +78,9 @@ FAMILIES = {
 }
 
 
-_EACH = 10_000
-"""Seeds of a family."""
+MOST_SEEDS = 10_000
+_ALL, _EACH = 200_000, 10_000
+"""Seeds of all families, and of one."""
 
 
 class Case(NamedTuple):
@@ -108,14 +111,22 @@ def case(family: str, level: int, number: int, seed: int, recordings: tuple[str,
     """
     if family not in FAMILIES or level not in LEVELS:
         raise InputError(f"arena: have {family!r} on level {level}, want one of {', '.join(FAMILIES)} on level 1 to 3")
-    unique = seed + _EACH * list(FAMILIES).index(family) + 1000 * level + number
+    unique = _ALL * seed + _EACH * list(FAMILIES).index(family) + 1000 * level + number
     return _MAKERS[family](level - 1, number, unique, recordings)
 
 
 def _stored(level: int, number: int, seed: int, recordings: tuple[str, ...]) -> Case:
     world = _stored_world(number)
     target = load_target(_name(world, number), world=world.name, speed=STORED_SPEEDS[level])
-    return _plain(world, target, DEPARTURE, np.asarray(world.start, dtype=float), seed)
+    departure = _departure(number, target, seed)
+    return _plain(world, target, departure, np.asarray(world.start, dtype=float), seed)
+
+
+def _departure(number: int, target: Target, seed: int) -> float:
+    """As in Table I when a stored target comes for the first time, then later in its flight: nothing else differs."""
+    if number < len(ENVIRONMENTS) * len(stored_targets(ENVIRONMENTS[0])):
+        return DEPARTURE
+    return float(np.round(DEPARTURE + np.random.default_rng((seed, 6)).uniform(0.0, LATER) * target.duration, 1))
 
 
 def _entry(level: int, number: int, seed: int, recordings: tuple[str, ...]) -> Case:

@@ -12,7 +12,7 @@ from ..figures.arena import Mark, draw_arena
 
 MET, HIT, LOST = "intercepted", "collision", "tracking_lost"
 HEADER = ("contestant", "episodes", "met", "95 %", "time / reference", "median s", "hit", "lost")
-HEADER += ("closest m", "relative m/s", "energy", "committed", "outside")
+HEADER += ("closest m", "relative m/s", "energy", "committed", "changed", "outside")
 WITHIN = (2.5, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0)
 """s within which those are counted that are met, of targets that can flee for ever."""
 
@@ -49,7 +49,7 @@ class Standing(NamedTuple):
 
     def ratio(self, part: str, whole: str) -> float | None:
         """Of two counts over all cycles of ours."""
-        known = [row for row in self.rows if row.get(whole)]
+        known = [row for row in self.rows if row.get(whole) and row.get(part) is not None]
         return sum(row[part] for row in known) / sum(row[whole] for row in known) if known else None
 
 
@@ -77,8 +77,8 @@ def report(results: Results[Any]) -> Report:
         "![](arena.png)\n\nMet: within 0.4 m, on the reference and clear of everything. Time over the reference: "
         "geometric mean over the episodes that both met; the reference is an offline optimum that knows the target's "
         "motion, none for targets that react. Closest: median of the least distance. Energy: median, in seconds of "
-        "hover. Committed: share of the cycles that committed a new plan. Outside: share of the candidates outside the "
-        "room."
+        "hover. Committed: share of the cycles that committed a new plan; changed: without the first of each "
+        "episode. Outside: share of the candidates outside the room."
     )
     return Report(
         markdown=explained + "\n\n" + "\n\n".join(sections),
@@ -123,6 +123,7 @@ def _line(one: Standing, references: dict[tuple[Any, ...], float]) -> list[str]:
         number(one.middle("relative_speed_m_s", one.met), ".1f"),
         number(one.middle("energy_hover_s"), ".1f"),
         number(one.ratio("committed", "cycles"), ".2f"),
+        number(one.ratio("changes", "cycles"), ".2f"),
         number(one.ratio("outside", "candidates"), ".3f"),
     ]
 

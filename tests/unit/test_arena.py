@@ -263,6 +263,19 @@ def test_names_that_nobody_has_are_refused() -> None:
     assert contestant("navigation").planner == "navigation"
 
 
+def test_stored_targets_that_come_again_are_departed_for_later() -> None:
+    """Nothing else would differ: the same flight twice says what once does."""
+    first, again = (case("stored", 3, number, 0, ()) for number in (4, 34))
+    assert first.target.name == again.target.name
+    assert first.departure == 0.5 < again.departure <= 0.5 + 0.25 * again.target.duration + 0.05
+    assert again.departure == case("stored", 3, 34, 0, ()).departure
+
+
+def test_other_seeds_are_other_episodes() -> None:
+    flown = {(seed, number): case("entry", 1, number, seed, ()) for seed in (0, 1) for number in (0, 3)}
+    assert len({one.seed for one in flown.values()}) == len({tuple(one.start) for one in flown.values()}) == 4
+
+
 def test_every_contestant_flies_every_episode_once() -> None:
     config = Config(episodes=2, contestants=("reference", "pursuit", "mfrl/gmm"))
     found = items(config)
@@ -274,8 +287,8 @@ def test_every_contestant_flies_every_episode_once() -> None:
 def test_the_report_ranks_and_compares_with_the_reference() -> None:
     config = Config(episodes=2, families=("entry",), levels=(1,), contestants=("reference", "pursuit", "mfrl/gmm"))
     listed = items(config)
-    shared = {"closest_m": 0.5, "relative_speed_m_s": 5.0, "energy_hover_s": 2.0, "committed": 2, "cycles": 4}
-    shared |= {"outside": 3, "candidates": 12}
+    shared = {"closest_m": 0.5, "relative_speed_m_s": 5.0, "energy_hover_s": 2.0}
+    shared |= {"committed": 2, "changes": 1, "cycles": 4, "outside": 3, "candidates": 12}
     times = {"reference": [1.0, 2.0], "pursuit": [None, None], "mfrl/gmm": [2.0, 8.0]}
     rows = [
         {**item.values, **shared, "outcome": "intercepted" if times[item.group][item.values["number"]] else "collision"}
@@ -287,7 +300,7 @@ def test_the_report_ranks_and_compares_with_the_reference() -> None:
     assert [line.split("|")[1].strip() for line in lines[2:5]] == ["reference", "mfrl/gmm", "pursuit"]
     assert "| mfrl/gmm | 2 | 1.000 |" in lines[3]
     assert "| 2.83 | 5.00 |" in lines[3]  # sqrt(2 * 4), and the median of 2 and 8 s
-    assert "| 0.50 | 0.250 |" in lines[3]
+    assert "| 0.50 | 0.25 | 0.250 |" in lines[3]  # committed, changed, outside
     assert found.summary == "6 episodes; our planners hit something in 0 of 2"
 
 
