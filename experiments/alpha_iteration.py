@@ -34,6 +34,7 @@ from jaxplan.training.sequences import free_queries, join, suffix_queries
 from jaxplan.vehicle.identity import require_same_vehicle
 from jaxplan.vehicle.load import load_vehicle
 
+from . import SUMMARIES
 from .figures.alpha_iteration import draw_alpha_iteration
 
 ALPHAS = np.round(np.arange(0.7, 2.01, 0.1), 2)
@@ -180,7 +181,7 @@ def _mean_of_known(errors: Float[np.ndarray, "k"]) -> float | None:
 
 
 EXPERIMENT = Experiment(
-    summary="Fig. 4: convergence of the arrival times, and how flight time and tracking error go with alpha",
+    summary=SUMMARIES["alpha-iteration"],
     presets={"smoke": Config(count=20), "small": Config(), "full": Config(count=4000)},
     items=items,
     evaluate=evaluate,

@@ -16,6 +16,7 @@ from jaxplan.viz.world import draw_world_picture
 from jaxplan.world.load import ENVIRONMENTS, environment_path, load_world
 from jaxplan.world.report import lattice_reports, obstacle_counts
 
+from . import SUMMARIES
 from .closed_loop import check_names
 
 
@@ -86,7 +87,7 @@ def _draw(name: str, path: Path) -> None:
 
 
 EXPERIMENT = Experiment(
-    summary="Fig. 7: the environments and their target trajectories",
+    summary=SUMMARIES["environments"],
     presets={"smoke": Config(), "small": Config(), "full": Config()},
     items=items,
     evaluate=evaluate,

@@ -37,7 +37,7 @@ from jaxplan.tracking.result import Thresholds
 from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.load import ENVIRONMENTS
 
-from . import closed_loop, table1
+from . import SUMMARIES, closed_loop, table1
 from .closed_loop import EpisodeConfig
 from .injection import FAULTS, ROOM, VEHICLE, Trouble, with_a_spare_box
 
@@ -267,7 +267,7 @@ def _cells(fault: str, rows: list[Row]) -> list[str]:
 
 
 EXPERIMENT = Experiment(
-    summary="Faults injected into the closed loop: sensors, time, the vehicle, the room",
+    summary=SUMMARIES["faults"],
     presets={"smoke": Config(episodes=1, worlds=("env1",)), "small": Config(episodes=30), "full": Config(episodes=300)},
     items=items,
     evaluate=evaluate,

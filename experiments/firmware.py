@@ -30,7 +30,7 @@ from jaxplan.tracking.rates import CONTROL_RATE
 from jaxplan.tracking.rollout import FlightLog, Plant, build_plant
 from jaxplan.vehicle.load import load_vehicle
 
-from . import closed_loop, table1
+from . import SUMMARIES, closed_loop, table1
 from .betaflight.build import require_buildable
 from .betaflight.plant import FirmwarePlant
 from .betaflight.process import has_own_network
@@ -255,7 +255,7 @@ def digest(log: FlightLog) -> str:
 
 
 EXPERIMENT = Experiment(
-    summary="Betaflight's firmware in the loop: references, and interceptions that it flies replanned",
+    summary=SUMMARIES["firmware"],
     presets={
         "smoke": Config(episodes=1, worlds=("env1",), speeds=(0.0, 3.5)),
         "small": Config(),

@@ -29,7 +29,7 @@ from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.params import Vehicle
 from jaxplan.world.load import ENVIRONMENTS
 
-from . import closed_loop, table1
+from . import SUMMARIES, closed_loop, table1
 from .closed_loop import EpisodeConfig
 from .figures.foreign_plants import draw_foreign_plants
 from .foreign_flight import CONTROLS, PLANTS, Flown, fly, without
@@ -280,7 +280,7 @@ def _causes(flights: Sequence[Row], kinds: Sequence[str], plants: Sequence[str])
 
 
 EXPERIMENT = Experiment(
-    summary="Interceptions and policy flights in other people's simulators, under rotorpy's own controller",
+    summary=SUMMARIES["foreign-plants"],
     presets={
         "smoke": Config(episodes=1, policy_flights=1, worlds=("env1",)),
         "small": Config(),

@@ -22,6 +22,7 @@ from jaxplan.search.routes import find_routes, warmup
 from jaxplan.world.load import ENVIRONMENTS, load_world
 from jaxplan.world.obstacles import World
 
+from . import SUMMARIES
 from .closed_loop import check_names
 from .figures.multi_resolution import draw_multi_resolution
 
@@ -163,7 +164,7 @@ def _median_and_largest(values: list[float]) -> str:
 
 
 EXPERIMENT = Experiment(
-    summary="Fig. 3: multi-resolution search beside the finest lattice, time and path length against distance",
+    summary=SUMMARIES["multi-resolution"],
     presets={"smoke": Config(worlds=("env1",), pairs=6, goals=100), "small": Config(), "full": Config(pairs=1000)},
     items=items,
     evaluate=evaluate,

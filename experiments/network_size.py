@@ -37,6 +37,7 @@ from jaxplan.training.imitation import ImitationConfig
 from jaxplan.training.pretrain import PretrainConfig, pretrain
 from jaxplan.vehicle.load import load_vehicle
 
+from . import SUMMARIES
 from .figures.network_size import draw_network_size
 
 CANDIDATES = 400
@@ -161,7 +162,7 @@ def report(results: Results[Config]) -> Report:
 
 
 EXPERIMENT = Experiment(
-    summary="Our choice of the network's size: held-out error against the time of an evaluation",
+    summary=SUMMARIES["network-size"],
     presets={
         "smoke": Config(hidden=(8, 16), steps=20, shards=2, repeats=3),
         "small": Config(),

@@ -49,6 +49,7 @@ from jaxplan.weights import resolve_weights
 from jaxplan.world.clearance import clearance
 from jaxplan.world.obstacles import World
 
+from . import SUMMARIES
 from .arena.families import CLUTTER, cluttered_room
 from .placing_report import OPTIMUM, OWN, STARTS, report
 
@@ -271,7 +272,7 @@ def _flown(vehicle: Vehicle, rows: list[Row]) -> list[Row]:
 
 
 EXPERIMENT = Experiment(
-    summary="Waypoints and times by a policy, for vehicles it never flew, beside times alone and an optimiser",
+    summary=SUMMARIES["placing"],
     presets={
         "smoke": Config(vehicles=1, rooms=1, courses=6, most=24),
         "small": Config(),

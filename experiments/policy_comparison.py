@@ -37,6 +37,7 @@ from jaxplan.vehicle.identity import require_same_vehicle
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.vehicle.params import Vehicle
 
+from . import SUMMARIES
 from .figures.policy_comparison import draw_policy_comparison
 
 SEEDS = 1_000_000
@@ -261,7 +262,7 @@ def _by_length(waypoints: Int[np.ndarray, "n"], failed: Bool[np.ndarray, "n"]) -
 
 
 EXPERIMENT = Experiment(
-    summary="Fig. 2b: learned policies beside minimum snap: times, tracking errors, failures, the value of labels",
+    summary=SUMMARIES["policy-comparison"],
     presets={
         "smoke": Config(shards=1, sequences=256, labels=(100,), steps=50, repeats=1, tries=1),
         "small": Config(),

@@ -37,6 +37,7 @@ from jaxplan.vehicle.reach import reach
 from jaxplan.world.load import ENVIRONMENTS, load_world
 from jaxplan.world.obstacles import World
 
+from . import SUMMARIES
 from .figures.prediction import PredictionPanel, draw_predictions
 from .prediction_windows import FLIGHT_INTERVAL, SPEEDS, as_seen, fast_windows, recorded_windows, stored_windows
 
@@ -222,7 +223,7 @@ def report(results: Results[Config]) -> Report:
 
 
 EXPERIMENT = Experiment(
-    summary="Fig. 6: what the predictors propose, and how far each is from what happens",
+    summary=SUMMARIES["prediction-comparison"],
     presets={"smoke": Config(windows=20, fast=(6.0,)), "small": Config(), "full": Config(windows=10000)},
     items=items,
     evaluate=evaluate,

@@ -25,7 +25,7 @@ from jaxplan.scenario import Scenario, build_scenario
 from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
 from jaxplan.world.load import ENVIRONMENTS
 
-from . import reference_times_report, table1
+from . import SUMMARIES, reference_times_report, table1
 from .closed_loop import EpisodeConfig
 
 PADDING = 0.35
@@ -157,7 +157,7 @@ def artefacts(config: Config) -> list[Path]:
 
 
 EXPERIMENT = Experiment(
-    summary="An offline optimum of the time to intercept for Table I's episodes, each proved by a flight",
+    summary=SUMMARIES["reference-times"],
     presets={
         "smoke": Config(worlds=("env1",), episodes=2, starts=4, rounds=6),
         "small": Config(),

@@ -22,6 +22,7 @@ from jaxplan.tracking.fidelity import build_labeller
 from jaxplan.tracking.result import TRAINING, TrackingResult
 from jaxplan.tracking.track import TrackConfig, track
 
+from . import SUMMARIES
 from .figures.scale_factor import draw_scale_factor
 
 ALPHAS = np.round(np.arange(0.7, 2.01, 0.1), 2)
@@ -128,7 +129,7 @@ def report(results: Results[Config]) -> Report:
 
 
 EXPERIMENT = Experiment(
-    summary="Fig. 5: tracking error of minimum-snap flights slowed from the rotors' limits",
+    summary=SUMMARIES["scale-factor"],
     presets={"smoke": Config(count=4), "small": Config(), "full": Config(count=1000)},
     items=items,
     evaluate=evaluate,

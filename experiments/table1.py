@@ -20,7 +20,7 @@ from jaxplan.prediction import target_model
 from jaxplan.runner.definition import Experiment, Item, Row
 from jaxplan.world.load import ENVIRONMENTS
 
-from . import closed_loop, on_device, table1_report
+from . import SUMMARIES, closed_loop, on_device, table1_report
 from .closed_loop import PREDICTORS, EpisodeConfig, compared_planners
 from .guidance import LAWS
 
@@ -207,7 +207,7 @@ SMOKE = tuple(planner for planner in compared_planners() if planner != "optimise
 """The optimiser takes longest to compile."""
 
 EXPERIMENT = Experiment(
-    summary="Table I: success by planner and predictor, over environments, trajectories, speeds and departures",
+    summary=SUMMARIES["table1"],
     presets={"smoke": Config(episodes=1, planners=SMOKE), "small": Config(episodes=300), "full": Config(episodes=3000)},
     items=items,
     evaluate=evaluate,

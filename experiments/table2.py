@@ -24,6 +24,7 @@ from jaxplan.runner.registry import bundled
 from jaxplan.runner.tables import as_latex, as_markdown
 from jaxplan.world.load import ENVIRONMENTS, load_world
 
+from . import SUMMARIES
 from .closed_loop import check_names
 from .figures.stages import draw_stages
 
@@ -132,7 +133,7 @@ def report(results: Results[Config]) -> Report:
 
 
 EXPERIMENT = Experiment(
-    summary="Table II: wall time of the stages of a replan, median and 99th percentile",
+    summary=SUMMARIES["table2"],
     presets={
         "smoke": Config(worlds=("env1",), departures=(0.5,), cycles=10),
         "small": Config(),

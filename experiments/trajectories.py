@@ -18,6 +18,7 @@ from jaxplan.scenario import build_scenario
 from jaxplan.viz.candidates import candidate_curves
 from jaxplan.world.load import load_world
 
+from . import SUMMARIES
 from .figures.trajectories import draw_moments
 
 SAMPLES = 6
@@ -128,7 +129,7 @@ def report(results: Results[Config]) -> Report:
 
 
 EXPERIMENT = Experiment(
-    summary="Fig. 8: the optimised trajectories over time of one episode",
+    summary=SUMMARIES["trajectories"],
     presets={
         "smoke": Config(world="env1", target="env1-07", planner="no-policy", moments=3),
         "small": Config(),

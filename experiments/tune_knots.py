@@ -26,6 +26,7 @@ from jaxplan.search.lattice import SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes
 from jaxplan.world.load import ENVIRONMENTS, load_world
 
+from . import SUMMARIES
 from .figures.knots import draw_knot_tuning
 
 DISTANCES = (1.0, 1.5, 2.0, 3.0, 4.0)
@@ -150,7 +151,7 @@ def report(results: Results[Config]) -> Report:
 
 
 EXPERIMENT = Experiment(
-    summary="Our choice of the knots' distance and turning: deviation from the path against the number of segments",
+    summary=SUMMARIES["tune-knots"],
     presets={"smoke": Config(pairs=9), "small": Config(), "full": Config(pairs=1200)},
     items=items,
     evaluate=evaluate,

@@ -33,6 +33,7 @@ from jaxplan.vehicle.toml import list_presets
 from jaxplan.world.load import ENVIRONMENTS, load_world
 from jaxplan.world.obstacles import World
 
+from . import SUMMARIES
 from .figures.vehicles import draw_vehicles
 
 BESIDE = 0.15
@@ -167,7 +168,7 @@ def report(results: Results[Config]) -> Report:
 
 
 EXPERIMENT = Experiment(
-    summary="Vehicles of all sizes that nothing was learned for: least times, and the share of plans they can follow",
+    summary=SUMMARIES["vehicles"],
     presets={"smoke": Config(count=1, goals=20), "small": Config(), "full": Config(count=100, goals=1000)},
     items=items,
     evaluate=evaluate,

@@ -29,7 +29,7 @@ from jaxplan.status import PlanStatus
 from jaxplan.world.load import ENVIRONMENTS
 from jaxplan.world.obstacles import World
 
-from .. import closed_loop, reference_times, table1
+from .. import SUMMARIES, closed_loop, reference_times, table1
 from .contestants import CONTESTANTS, REFERENCE, contestant
 from .families import FAMILIES, LEVELS, MOST_SEEDS, Case, case
 from .movers import Traffic
@@ -242,7 +242,7 @@ def artefacts(config: Config) -> list[Path]:
 
 
 EXPERIMENT = Experiment(
-    summary="the arena: fast, evasive and half-seen targets, unknown rooms; who meets them how soon",
+    summary=SUMMARIES["arena"],
     presets={"smoke": Config(episodes=1), "small": Config(episodes=10), "full": Config(episodes=40)},
     items=items,
     evaluate=evaluate,

@@ -54,13 +54,13 @@ class RunOptions:
 def experiment(*tokens: Annotated[str, EVERY_TOKEN]) -> int:
     """Reproduce a table or a figure: jaxplan experiment NAME --preset smoke|small|full; --list says which there are."""
     require_supported_jax()
-    from jaxplan.runner.registry import experiment_names, load_experiment
+    from jaxplan.runner.registry import load_experiment, summaries
 
     if not tokens or tokens[0] in {"--list", "--help", "-h"}:
         print(f"Usage: {USAGE}\n\nFlags of one: jaxplan experiment NAME --help\n")
-        width = max(map(len, experiment_names()))
-        for name in experiment_names():
-            print(f"  {name:<{width}}  {load_experiment(name).summary}")
+        width = max(map(len, summaries()))
+        for name, summary in summaries().items():
+            print(f"  {name:<{width}}  {summary}")
         return 0
     name, rest = tokens[0], list(tokens[1:])
     if name.startswith("-"):

@@ -28,7 +28,12 @@ def bundled(folder: str, module: str = "") -> ModuleType:
 
 def experiment_names() -> tuple[str, ...]:
     """Names of the stored experiments, in the order of the paper."""
-    return bundled("experiments").NAMES
+    return tuple(summaries())
+
+
+def summaries() -> dict[str, str]:
+    """What each of the stored experiments shows, by name; none of them is imported for it."""
+    return bundled("experiments").SUMMARIES
 
 
 @functools.cache
