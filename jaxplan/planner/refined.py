@@ -35,7 +35,7 @@ class RefinementConfig:
     """Fastest turn of the thrust [rad/s], against drag."""
     max_lag: float = 0.14
     """And how far it may turn within the motors' time constant [rad]: a vehicle is that much behind all the time."""
-    dilation: float = 1.06
+    dilation: float = 1.0
     """The body must be able to fly a plan so many times as fast as it is flown."""
     most_excess: float = 0.1
     """Longest time [s] that any rotor may be out of its range: the optimiser looks at single instants."""

@@ -34,9 +34,9 @@ VIOLATION = 0.02
 """A margin of the optimiser below 0 by less counts as kept: the last look decides (arbitrary)."""
 START_SPARE = 5e-3
 """m; a plan that begins closer to an obstacle than it should keeps so much less than it has there (arbitrary)."""
-TRIES, SLOWER = 3, 1.12
-"""How often a plan is looked for that the model follows, and how many times as slow each try begins, and as cautious it
-is, as the one before (docs/decisions/0050)."""
+CAUTION = (1.0, 1.06, 1.19, 1.33)
+"""How many times as fast the body must be able to fly a plan, try by try, until the last look and the model agree that
+it can fly it (docs/decisions/0058)."""
 STILL = 1e-6
 """rad/s; a plan that begins with a turning heading is not refined: the heading of refined ones is held."""
 
@@ -66,7 +66,8 @@ def refine(
 ) -> Refined | None:
     """A plan that is sooner than ``seed`` where there is one, checked.
 
-    Where the vehicle's model does not follow it, it is looked for again, more cautiously, if there is time.
+    Where the vehicle cannot fly it, by the last look or its model, it is looked for again, more cautiously, if there is
+    time.
     """
     config = parts.config.refinement
     state, candidates = usual_state(state), usual_candidates(candidates)
@@ -77,13 +78,13 @@ def refine(
         return None
     steps = config.iterations if iterations is None else iterations
     descent, target, starts = replace(DESCENT, iterations=steps), asked.target(), asked.starts
-    for nth in range(TRIES):
-        limits = _limits(parts, state, asked.radius, config, SLOWER**nth)
+    for caution, more in zip(CAUTION, (*CAUTION[1:], np.inf), strict=True):
+        limits = _limits(parts, state, asked.radius, config, caution)
         found = parts.descend(parts.room, state, target, limits, starts, descent)
         refined = _judged(parts, state, asked, found, seed)
-        if refined.reasons != Reason.UNTRACKABLE or steps < config.iterations:
+        if steps < config.iterations or more == np.inf or not _is_too_fast(refined, found):
             break
-        starts = np.concatenate([slowed(found.variables, SLOWER)[None], asked.starts])
+        starts = np.concatenate([slowed(found.variables, more / caution)[None], asked.starts])
     return refined
 
 
@@ -123,6 +124,11 @@ def _judged(parts: Parts, state: FlatState, asked: _Asked, found: Descended, see
     )
 
 
+def _is_too_fast(refined: Refined, found: Descended) -> bool:
+    """Whether the descent has kept its margins, but the vehicle cannot fly what it found."""
+    return found.least >= -VIOLATION and refined.reasons in (Reason.LIMITS, Reason.UNTRACKABLE)
+
+
 def _strict(parts: Parts, config: RefinementConfig) -> ValidatorConfig:
     """The last look's settings, for plans of which the optimiser has seen single instants only."""
     return dataclasses.replace(parts.config.validator, most_excess=config.most_excess)
@@ -153,10 +159,10 @@ def _expected(candidates: Candidates, until: float) -> Expected | None:
     return Expected(interval, position, np.interp(times, instants, spread), horizon)
 
 
-def _limits(parts: Parts, state: FlatState, radius: float, config: RefinementConfig, slower: float) -> Limits:
+def _limits(parts: Parts, state: FlatState, radius: float, config: RefinementConfig, caution: float) -> Limits:
     """What one plan keeps to: the planner's distances and some more, or what it has where it begins.
 
-    The body must be able to fly it ``slower`` times as fast as usually.
+    The body must be able to fly it ``caution`` times as fast as usually.
     """
     keep = parts.keep
     speed = float(np.linalg.norm(np.asarray(state.vel)))
@@ -168,6 +174,6 @@ def _limits(parts: Parts, state: FlatState, radius: float, config: RefinementCon
         "per_speed": keep.per_speed,
         "most": keep.most - keep.least,
         "meet_radius": radius,
-        "dilation": config.dilation * slower,
+        "dilation": config.dilation * caution,
     }
     return Limits(**{name: np.full(1, number) for name, number in numbers.items()})

@@ -35,8 +35,8 @@ def small(tmp_path_factory):
     return load_vehicle(path)
 
 
-def refined(vehicle, rollouts, iterations=None):
-    config = PlannerConfig(refinement=RefinementConfig(), rollouts=rollouts)
+def refined(vehicle, rollouts, iterations=None, refinement=None):
+    config = PlannerConfig(refinement=refinement or RefinementConfig(), rollouts=rollouts)
     planner = build_planner(config, world=load_world("env1"), vehicle=vehicle, policy=constant_speed_policy())
     found = planner.refine(hover(START), STANDING, SEED, iterations)
     assert found is not None
@@ -80,6 +80,16 @@ def test_where_there_is_no_time_for_another_try_it_is_refused(small):
     found = refined(small, RolloutConfig(), few)
     assert found.reasons == Reason.UNTRACKABLE
     assert not refined(small, CREDULOUS, few).reasons
+
+
+def test_a_plan_beyond_the_rotors_between_the_instants_that_were_looked_at_is_made_again():
+    """As nothing allows a rotor to be out of its range, the first try is refused, and a more cautious one is not."""
+    vehicle, strict = load_vehicle(), RefinementConfig(most_excess=0.001)
+    assert not refined(vehicle, None).reasons
+    assert refined(vehicle, None, strict.iterations - 1, strict).reasons == Reason.LIMITS
+    again = refined(vehicle, None, None, strict)
+    assert not again.reasons
+    assert again.arrival_time < SEED.meeting
 
 
 def test_a_plan_that_no_try_makes_good_is_refused(small):

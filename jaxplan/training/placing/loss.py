@@ -30,8 +30,8 @@ from jaxplan.vehicle.params import Vehicle
 
 BODY_SAMPLES, PLACE_SAMPLES = 8, 12
 """Instants of a segment at which the body and the distance are looked at."""
-CHECKS, REFINED = CheckConfig(), RefinementConfig()
-"""What the planner keeps to, and its refinements beyond that."""
+CHECKS, REFINED = CheckConfig(), RefinementConfig(dilation=1.06)
+"""What the planner keeps to, and its refinements beyond that; placed plans can be flown so much faster."""
 RESERVE = 0.02
 """By which margins should be above 0."""
 LARGE = 3.0
