@@ -78,11 +78,11 @@ def refine(
         return None
     steps = config.iterations if iterations is None else iterations
     descent, target, starts = replace(DESCENT, iterations=steps), asked.target(), asked.starts
-    for caution, more in zip(CAUTION, (*CAUTION[1:], np.inf), strict=True):
+    for caution, more in zip(CAUTION, (*CAUTION[1:], CAUTION[-1]), strict=True):
         limits = _limits(parts, state, asked.radius, config, caution)
         found = parts.descend(parts.room, state, target, limits, starts, descent)
         refined = _judged(parts, state, asked, found, seed)
-        if steps < config.iterations or more == np.inf or not _is_too_fast(refined, found):
+        if steps < config.iterations or not _is_too_fast(refined, found):
             break
         starts = np.concatenate([slowed(found.variables, more / caution)[None], asked.starts])
     return refined

@@ -27,18 +27,22 @@ def compile_all(stations: Stations, asked: Sequence[Match], config: PlannerConfi
     ``asked``: those of the time allocations that the configuration can ask for; the others are not compiled.
     """
     with uncollected(), ThreadPoolExecutor(len(LENGTHS)) as pool:
-        paths = np.tile(np.asarray(state.pos), (config.width, config.path_capacity, 1))
-        whole = jax.tree.map(np.asarray, stations.route(paths, paths[:, -1]))
+        whole = _compile_route(stations, config, state)
         list(pool.map(in_float64(functools.partial(_compile, stations, asked, state, whole)), LENGTHS))
 
 
 def compile_first(stations: Stations, config: PlannerConfig, state: FlatState) -> None:
-    """Compile what every replan calls, for most lengths: beside work on the host this takes no time of its own."""
+    """Compile what every replan calls, for the length that most have: work on the host leaves a core idle."""
     with uncollected():
-        paths = np.tile(np.asarray(state.pos), (config.width, config.path_capacity, 1))
-        routes = cut(jax.tree.map(np.asarray, stations.route(paths, paths[:, -1])), LENGTHS[0])
+        routes = cut(_compile_route(stations, config, state), LENGTHS[0])
         durations = np.ones((LENGTHS[0] - 1, config.width))
         jax.block_until_ready(stations.solve(state, routes, durations, np.asarray(state.pos), 1.0))
+
+
+def _compile_route(stations: Stations, config: PlannerConfig, state: FlatState) -> Routes:
+    """Call the station that places waypoints; routes that stay where they begin."""
+    paths = np.tile(np.asarray(state.pos), (config.width, config.path_capacity, 1))
+    return Routes(*(np.asarray(part) for part in stations.route(paths, paths[:, -1])))
 
 
 def _compile(stations: Stations, asked: Sequence[Match], state: FlatState, whole: Routes, length: int) -> None:
