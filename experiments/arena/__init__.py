@@ -28,6 +28,7 @@ from jaxplan.spline import hover
 from jaxplan.status import PlanStatus
 from jaxplan.world.load import ENVIRONMENTS
 from jaxplan.world.obstacles import World
+from jaxplan.world.occupancy import RESOLUTIONS, fitting_resolution
 
 from .. import SUMMARIES, closed_loop, reference_times, table1
 from .contestants import CONTESTANTS, REFERENCE, contestant
@@ -197,7 +198,7 @@ def _planner_in(planner: Planner, one: Case) -> Planner:
     if key not in _PLANNERS:
         while len(_PLANNERS) >= MOST_ROOMS:
             del _PLANNERS[next(iter(_PLANNERS))]
-        own = planner.in_world(one.world)
+        own = planner.in_world(one.world, fitting_resolution(one.world, planner.config.resolution))
         own.warmup(hover(one.start))
         _PLANNERS[key] = own
     return _PLANNERS[key]
@@ -220,7 +221,8 @@ _WARM: set[closed_loop.Defender] = set()
 def _reference(config: Config, one: Case) -> Row:
     """The soonest flight that an optimiser finds which knows the target's motion."""
     base = _base(config, REFERENCE)
-    lattices = build_lattices(one.world, SearchConfig(padding=reference_times.PADDING))
+    cells = tuple(fitting_resolution(one.world) / RESOLUTIONS[0] * side for side in RESOLUTIONS)
+    lattices = build_lattices(one.world, SearchConfig(padding=reference_times.PADDING, resolutions=cells))
     radius = float(np.asarray(base.vehicle.radius))
     judge = Judge(distance_in(one.world), radius, INTERCEPTION_RADIUS, one.target.duration)
     sought = Sought(lattices, one.world, one.start)

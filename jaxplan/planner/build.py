@@ -5,6 +5,7 @@ taken in order of score, some at a time, until one passes. By the paper's eq. 9 
 evaluation; by capture scores are promises, and beside a committed plan only the best of them are tried.
 """
 
+import dataclasses
 import inspect
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -101,9 +102,23 @@ def build_planner(
     config = config or PlannerConfig()
     if config.place == "all" and placing is None:
         raise InputError("build_planner: have place 'all' and no placing policy, want placing=load_placing(...)")
+    stations = compile_stations(config, vehicle, policy, classifier)
+    with ThreadPoolExecutor(1) as pool:
+        first = pool.submit(in_float64(compile_first), stations, config, hover(np.zeros(3)))
+        lattices = build_lattices(world, _search_options(config, vehicle))
+        first.result()
+    descend = None if config.refinement is None else build_descent(config.refinement, vehicle)
+    begin = None if placing is None else _compiled(placing, config, vehicle)
+    flyer = None if config.rollouts is None else build_flyer(config.rollouts, vehicle)
+    room = _room(lattices, world)
+    return _planner(Parts(config, stations, lattices, _on_device(world), room, vehicle, descend, begin, flyer))
+
+
+def _search_options(config: PlannerConfig, vehicle: Vehicle) -> SearchConfig:
+    """How paths are searched for a vehicle."""
     least = min(config.padding, float(vehicle.radius) + config.checks.tracking_margin)
     factors = (1,) if config.search == "roadmap" else (1, 2, 5, 10)
-    options = SearchConfig(
+    return SearchConfig(
         method=config.search,
         resolutions=tuple(config.resolution * factor for factor in factors),
         distance_fractions=SearchConfig().distance_fractions[: len(factors) - 1],
@@ -112,16 +127,6 @@ def build_planner(
         least_padding=least if config.narrow_passages else None,
         from_faces=least,
     )
-    stations = compile_stations(config, vehicle, policy, classifier)
-    with ThreadPoolExecutor(1) as pool:
-        first = pool.submit(in_float64(compile_first), stations, config, hover(np.zeros(3)))
-        lattices = build_lattices(world, options)
-        first.result()
-    descend = None if config.refinement is None else build_descent(config.refinement, vehicle)
-    begin = None if placing is None else _compiled(placing, config, vehicle)
-    flyer = None if config.rollouts is None else build_flyer(config.rollouts, vehicle)
-    room = _room(lattices, world)
-    return _planner(Parts(config, stations, lattices, _on_device(world), room, vehicle, descend, begin, flyer))
 
 
 def _compiled(placing: Place, config: PlannerConfig, vehicle: Vehicle) -> Placing:
@@ -167,11 +172,12 @@ def _bound(kind: Any, function: Callable, parts: Parts) -> Any:
     return bound
 
 
-def _in_world(parts: Parts, world: World) -> Planner:
+def _in_world(parts: Parts, world: World, resolution: float | None = None) -> Planner:
     """A planner for another world; what is compiled without looking at the world is shared."""
-    lattices = build_lattices(world, parts.lattices.config)
-    room = _room(lattices, world)
-    return _planner(parts._replace(lattices=lattices, world=_on_device(world), room=room, moving=frozenset()))
+    config = parts.config if resolution is None else dataclasses.replace(parts.config, resolution=resolution)
+    lattices = build_lattices(world, _search_options(config, parts.vehicle))
+    room, none = _room(lattices, world), frozenset[int]()
+    return _planner(parts._replace(config=config, lattices=lattices, world=_on_device(world), room=room, moving=none))
 
 
 def _updated(parts: Parts, change: Change, moving: bool = False) -> Planner:

@@ -300,8 +300,12 @@ class Warmup(Protocol):
 class InWorld(Protocol):
     """The same planner in another world, with all that is compiled without looking at the world."""
 
-    def __call__(self, world: World) -> "Planner":
-        """Prepares the lattices of ``world``."""
+    def __call__(self, world: World, resolution: float | None = None) -> "Planner":
+        """Prepares the lattices of ``world``, with cells of another ``resolution`` [m] where one is given.
+
+        Raises ``InputError`` for a world with too many cells of that size; ``world.occupancy.fitting_resolution``
+        says what fits.
+        """
 
 
 class Update(Protocol):
