@@ -303,8 +303,7 @@ class InWorld(Protocol):
     def __call__(self, world: World, resolution: float | None = None) -> "Planner":
         """Prepares the lattices of ``world``, with cells of another ``resolution`` [m] where one is given.
 
-        Raises ``InputError`` for a world with too many cells of that size; ``world.occupancy.fitting_resolution``
-        says what fits.
+        Raises ``InputError`` where there are too many (``world.occupancy.fitting_resolution`` says what fits).
         """
 
 
