@@ -4,7 +4,6 @@ from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from jaxplan.errors import InputError
 from jaxplan.replanner.records import Measured
@@ -69,4 +68,11 @@ def turn_from(attitude: Float[np.ndarray, "4"], yaw: float) -> float:
 
 def _axes(attitude: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
     """Body axes in the world, one a row."""
-    return np.asarray(Rotation.from_quat(attitude, scalar_first=True).as_matrix().T)
+    w, x, y, z = (attitude / np.linalg.norm(attitude)).tolist()
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)],
+            [2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)],
+            [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
