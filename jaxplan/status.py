@@ -66,6 +66,8 @@ class Note(enum.IntFlag):
     """No path keeps the padding from all obstacles; this one comes closer."""
     SEARCH_ENDED = 1 << 4
     """The search ended by its budget: this is the best path known, which need not be the shortest."""
+    SEARCHING = 1 << 5
+    """Nobody sees the target: the goals are a place from which it may be seen (``jaxplan.prediction.lookout``)."""
 
 
 class PlanStatus(enum.IntEnum):

@@ -4,13 +4,15 @@ A contestant is a name and a function that builds what stands where a ``Replanne
 adds one.
 """
 
-import dataclasses
 from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
 
 from jaxplan.config import WITH_MODEL
 from jaxplan.errors import InputError
 from jaxplan.interception import Guide
 from jaxplan.names import meant
+from jaxplan.prediction.lookout import Lookout, LookoutConfig, Views, views_of
 from jaxplan.prediction.predictors import PREDICTORS, build_predictor
 from jaxplan.prediction.protocol import PredictionConfig, Predictor
 from jaxplan.prediction.target_model import TargetModel, shipped_model
@@ -25,6 +27,7 @@ from ..point_mass_mpc import PointMassMpc, has_solver
 from ..routing import around_obstacles
 from .families import Case
 from .movers import Warned
+from .sight import SightConfig
 
 NO_PLANNER = "navigation"
 """Whose scenario has a planner that is never asked."""
@@ -88,8 +91,10 @@ def contestant(name: str) -> Contestant:
         )
 
     def build(scenario: Scenario, case: Case) -> Guide:
-        own = dataclasses.replace(scenario, predictor=predictor_named(predictor, case))
-        replanner = Replanner(own.planner, own.predictor, own.start, own.replanning)
+        own = predictor_named(predictor, case)
+        if case.sight is not None and predictor != "ground-truth":
+            own = looking(own, case.world, case.sight.config)
+        replanner = Replanner(scenario.planner, own, scenario.start, scenario.replanning)
         if case.traffic is None:
             return replanner
         return Warned(replanner, case.traffic, case.world, float(scenario.vehicle.radius))
@@ -104,6 +109,20 @@ def predictor_named(name: str, case: Case) -> Predictor:
         model = mixture_for(case.world, config)
     truth = case.target.position if case.known else None
     return build_predictor(name, config, truth, case.seed, model, case.world)
+
+
+def looking(predictor: Predictor, world: World, sight: SightConfig) -> Predictor:
+    """The same, and where nobody sees the target, where to look for it with this sensor."""
+    turning = 2.0 * np.pi / sight.turn_rate if sight.field_of_view < 2.0 * np.pi else 0.2
+    config = LookoutConfig(sight_range=sight.sight_range, dwell=turning)
+    key = (world.name, config)
+    if key not in _VIEWS:
+        _VIEWS[key] = views_of(world, config)
+    return Lookout(predictor, world, PredictionConfig.for_world(world), config, _VIEWS[key])
+
+
+_VIEWS: dict[tuple[str, LookoutConfig], Views] = {}
+"""Of the stored rooms, by sensor: nine at most."""
 
 
 def mixture_for(world: World, config: PredictionConfig) -> TargetModel:

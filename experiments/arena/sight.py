@@ -47,7 +47,8 @@ class Sight:
     """A sensor in one episode; ``look_from`` tells it where the defender is."""
 
     def __init__(self, world: World, config: SightConfig, start: Float[np.ndarray, "3"], seed: int) -> None:
-        self._world, self._config, self._from = world, config, np.asarray(start, dtype=float)
+        self.config = config
+        self._world, self._from = world, np.asarray(start, dtype=float)
         self._rng = np.random.default_rng((seed, 1))
         self._under_way: list[tuple[float, Float[np.ndarray, "3"]]] = []
         self._known: tuple[float, Float[np.ndarray, "3"]] | None = None
@@ -64,12 +65,12 @@ class Sight:
         """Detect the target where that is possible, and hand on what has become known by ``now`` [s]."""
         self._turn(now)
         detected = self._detects(position)
-        noise, lost = self._rng.normal(scale=1.0, size=3), self._rng.random() < self._config.dropouts
+        noise, lost = self._rng.normal(scale=1.0, size=3), self._rng.random() < self.config.dropouts
         self.asked += 1
         if detected and not lost:
             self.seen += 1
-            self._under_way.append((now, position + self._config.noise * noise))
-        known = [one for one in self._under_way if one[0] + self._config.latency <= now + 1e-9]
+            self._under_way.append((now, position + self.config.noise * noise))
+        known = [one for one in self._under_way if one[0] + self.config.latency <= now + 1e-9]
         self._under_way = self._under_way[len(known) :]
         for time, where in known:
             stream.add(time, where, now)
@@ -77,7 +78,7 @@ class Sight:
 
     def _turn(self, now: float) -> None:
         """Turn the camera as far as it can since the last time."""
-        most, self._turned = self._config.turn_rate * (now - self._turned), now
+        most, self._turned = self.config.turn_rate * (now - self._turned), now
         if self._known is not None and now - self._known[0] <= FORGOTTEN:
             self.looks = _towards(self.looks, self._known[1] - self._from, most)
         else:
@@ -87,11 +88,11 @@ class Sight:
     def _detects(self, position: Float[np.ndarray, "3"]) -> bool:
         way = position - self._from
         distance = float(np.linalg.norm(way))
-        if distance > self._config.sight_range:
+        if distance > self.config.sight_range:
             return False
-        if float(way @ self.looks) < distance * np.cos(min(0.5 * self._config.field_of_view, np.pi)):
+        if float(way @ self.looks) < distance * np.cos(min(0.5 * self.config.field_of_view, np.pi)):
             return False
-        return not self._config.occluded or bool(in_sight(self._world, self._from, position[None])[0])
+        return not self.config.occluded or bool(in_sight(self._world, self._from, position[None])[0])
 
 
 def _towards(looks: Float[np.ndarray, "3"], wanted: Float[np.ndarray, "3"], most: float) -> Float[np.ndarray, "3"]:

@@ -82,7 +82,7 @@ def fly(
     target, period = scenario.target, scenario.replanning.period
     state = scenario.plant.reset(scenario.start, jax.random.key(scenario.seed))
     stream, flights = ObservationStream(scenario.stream), list[Flight]()
-    cycles, seen = list[Cycle | None](), list[Observations]()
+    cycles, seen = list[Cycle | None](), list[Observations | None]()
 
     def episode(outcome: str) -> Episode:
         decided = [(cycle, given) for cycle, given in zip(cycles, seen, strict=True) if cycle is not None]
@@ -103,9 +103,14 @@ def fly(
         now = index * period
         watch(stream, now, target.position(np.array([now]))[0])
         observations = stream.observe(now)
-        if observations is not None and now >= scenario.departure - 1e-9:
-            cycles.append(guide.step(now, observations, measured_state(state, scenario.vehicle)))
-            seen.append(observations)
+        if now >= scenario.departure - 1e-9:
+            measured = measured_state(state, scenario.vehicle)
+            if observations is not None:
+                cycles.append(guide.step(now, observations, measured))
+                seen.append(observations)
+            elif isinstance(guide, Replanner) and guide.searches:
+                cycles.append(guide.step(now, None, measured))
+                seen.append(None)
         if react is not None:
             react(now, np.asarray(state.pos, dtype=float), np.asarray(state.vel, dtype=float))
         times = scenario.control_times(now)

@@ -126,8 +126,8 @@ class Episode(NamedTuple):
     compilations_after_warmup: int
     real_time: RealTime | None = None
     """None where time stood still for the planner."""
-    observations: tuple[Observations, ...] = ()
-    """What each cycle decided from; empty where nobody kept it."""
+    observations: tuple[Observations | None, ...] = ()
+    """What each cycle decided from, None where the target was never seen; empty where nobody kept it."""
 
     @property
     def success(self) -> bool:

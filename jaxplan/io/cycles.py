@@ -84,7 +84,7 @@ class SavedCycle(NamedTuple):
 
 def saved_cycles(
     cycles: "Sequence[Cycle]",
-    observations: Sequence[Observations],
+    observations: Sequence[Observations | None],
     plans: "Sequence[CommittedPlan]",
     predictor: "Predictor | None",
 ) -> list[SavedCycle]:
@@ -92,11 +92,12 @@ def saved_cycles(
 
     Args:
         cycles: in their order from the first one on.
-        observations: that each decided from; empty where nobody knows, then no prediction is kept.
+        observations: that each decided from, None before the target was seen; empty where nobody knows, then no
+            prediction is kept.
         plans: that were committed.
         predictor: of the episode; a prediction is asked of it once more, the same as in flight.
     """
-    seen: Sequence[Observations | None] = observations if len(observations) == len(cycles) else [None] * len(cycles)
+    seen = observations if len(observations) == len(cycles) else [None] * len(cycles)
     return [
         saved_cycle(cycle, each, index, plans, predictor)
         for index, (cycle, each) in enumerate(zip(cycles, seen, strict=True))

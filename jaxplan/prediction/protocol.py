@@ -79,6 +79,17 @@ class Predictor(Protocol):
         """The candidates of replan cycle number ``cycle``; their arrival times count from now."""
 
 
+@runtime_checkable
+class Searcher(Protocol):
+    """A predictor that says where to look for a target that was never seen (``jaxplan.prediction.lookout``)."""
+
+    def look_from(self, now: float, position: Float[np.ndarray, "3"]) -> None:
+        """The vehicle is there [m, world] at ``now`` [s]."""
+
+    def __call__(self, observations: Observations | None, cycle: int) -> Candidates:
+        """As a ``Predictor``; None: the target was never seen."""
+
+
 class Draws(NamedTuple):
     """b random positions for each of s steps."""
 

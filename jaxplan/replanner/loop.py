@@ -21,9 +21,9 @@ from jaxtyping import Float
 from jaxplan.errors import InputError
 from jaxplan.planner import Fault, Planner, Timer, prospect_for
 from jaxplan.planner.timer import Clock
-from jaxplan.prediction.candidates import later
+from jaxplan.prediction.candidates import Candidates, later
 from jaxplan.prediction.observations import Observations, usual_observations
-from jaxplan.prediction.protocol import Predictor
+from jaxplan.prediction.protocol import Predictor, Searcher
 from jaxplan.replanner.ahead import Ahead, look_ahead
 from jaxplan.replanner.choice import Chosen, Known, Start
 from jaxplan.replanner.committed import CommittedPlans, hold
@@ -79,6 +79,11 @@ class Replanner:
         return self._committed.plans
 
     @property
+    def searches(self) -> bool:
+        """Whether its predictor looks for a target that was never seen: then it may be asked without observations."""
+        return isinstance(self._predictor, Searcher)
+
+    @property
     def ever_planned(self) -> bool:
         """Whether any plan was committed after the initial hover."""
         return len(self.plans) > 1
@@ -121,19 +126,23 @@ class Replanner:
         """
         self._ways = None if ways is None else usual_ways(ways)
 
-    def step(self, now: float, observations: Observations, measured: Measured | None = None) -> Cycle:
+    def step(self, now: float, observations: Observations | None, measured: Measured | None = None) -> Cycle:
         """Predict, plan and decide at time ``now`` [s] from the newest observations.
 
         Args:
             now: on the clock of all other times.
-            observations: of the target.
+            observations: of the target; None, where it was never seen, only for a predictor that ``searches``.
             measured: the vehicle at ``now``, where it is known; without it, it is taken to be where it should.
 
         Raises:
             InputError: ``now`` is not finite or before the last cycle, or ``observations`` or ``measured`` are not;
                 nothing is decided.
         """
-        now, observations = as_number("replanner: now", now), usual_observations(observations)
+        now = as_number("replanner: now", now)
+        if observations is not None:
+            observations = usual_observations(observations)
+        elif not self.searches:
+            raise InputError("replanner: have no observations, want some, or a predictor that searches (Lookout)")
         if not np.isfinite(now) or now < self._last:
             raise InputError(f"replanner: now is {now} s, want a finite time from {self._last} s on, the last cycle's")
         measured = None if measured is None else usual_measured(measured)
@@ -143,7 +152,7 @@ class Replanner:
         ahead = look_ahead(self.planner, self._committed, now, measured)
         start = self._start(now, measured, ahead)
         timer.lap("roll out")
-        predicted = self._predictor(observations, self._cycles)
+        predicted = self._predicted(now, observations, measured)
         self._cycles += 1
         candidates = later(predicted, start.takeover - now)
         timer.lap("predict", predicted)
@@ -180,6 +189,16 @@ class Replanner:
             latency=latency,
             sooner=0.0 if chosen is None else chosen.sooner,
         )
+
+    def _predicted(self, now: float, observations: Observations | None, measured: Measured | None) -> Candidates:
+        """Where the target may be, or where to look for it."""
+        if isinstance(self._predictor, Searcher):
+            self._predictor.look_from(
+                now, np.asarray(self._committed.at(now).pos) if measured is None else measured.position
+            )
+            return self._predictor(observations, self._cycles)
+        assert observations is not None
+        return self._predictor(observations, self._cycles)
 
     def _start(self, now: float, measured: Measured | None, ahead: Ahead | None) -> Start:
         """Where the plans of this cycle begin, never before the newest plan has taken over.

@@ -121,7 +121,7 @@ class Worker:
             time.sleep(max(due - time.monotonic(), 0.0))
 
     def tick(self) -> Cycle | None:
-        """Take in what has come, plan, and offer; None while nothing was seen of the target."""
+        """Take in what has come, plan, and offer; None while a target was never seen that nobody looks for."""
         self._hear_changes()
         self._hear_answers()
         now = self.now
@@ -129,7 +129,7 @@ class Worker:
             self._next_sample = number + 1
             self._stream.add(*unpack_sample(message), now)
         observations = self._stream.observe(now)
-        if observations is None:
+        if observations is None and not self._replanner.searches:
             self.report(Phase.WAITING)
             return None
         before = len(self._replanner.plans)

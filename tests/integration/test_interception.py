@@ -12,6 +12,8 @@ from jaxplan.errors import InputError
 from jaxplan.interception.judging import until_decided
 from jaxplan.io.cycles import read_cycles, saved_cycles, write_cycles
 from jaxplan.io.targets import Target, load_target, stored_targets
+from jaxplan.prediction.kernels.views import seen_from
+from jaxplan.prediction.lookout import Lookout, views_of
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.predictors import PREDICTORS, build_predictor
 from jaxplan.prediction.protocol import PredictionConfig
@@ -19,7 +21,7 @@ from jaxplan.prediction.target_model import shipped_model
 from jaxplan.replanner import Replanner
 from jaxplan.scenario import build_scenario
 from jaxplan.spline import hover
-from jaxplan.status import PlanStatus
+from jaxplan.status import Note, PlanStatus
 from jaxplan.tracking.rates import CONTROL_RATE
 from jaxplan.viz.replay import replay_of
 from oracles.metrics_schema import valid_metrics
@@ -67,6 +69,35 @@ def test_default_episode_intercepts(episode):
     assert metrics["replans"] == len(episode.cycles)
     assert metrics["candidates"]["generated"] == 20 * len(episode.cycles)
     assert set(metrics["replan_ms"]) >= {"total", "predict", "search", "knots", "policy", "minsnap", "select"}
+
+
+def test_a_target_that_is_not_in_sight_is_looked_for(scenario):
+    """One that hovers behind pillars: without a lookout the defender waits for it forever."""
+    views = views_of(scenario.world)
+    hidden = views.places[~seen_from(views.solids, scenario.start.pos[None], views.places, np.inf)[0]]
+    place = hidden[np.argmax(np.linalg.norm(hidden - np.asarray(scenario.start.pos), axis=1))]
+    one = again(scenario, target=still(place, 8.0), predictor="constant-velocity")
+    defender = [np.asarray(one.start.pos)]
+
+    def watch(stream, now, position):
+        if seen_from(views.solids, defender[0][None], position[None], np.inf).all():
+            stream.add(now, position, now)
+
+    def moved(now, position, velocity):
+        defender[0] = position
+
+    assert interception.fly(one, watch=watch, react=moved).outcome == "no_plan"
+    looking = Lookout(one.predictor, one.world, PredictionConfig(), views=views)
+    guide = Replanner(one.planner, looking, one.start, one.replanning)
+    defender[0] = np.asarray(one.start.pos)
+    episode = interception.fly(one, guide=guide, watch=watch, react=moved)
+    assert episode.outcome == "intercepted"
+    assert episode.cycles[0].note is Note.SEARCHING
+    assert episode.observations[0] is None
+    assert episode.cycles[-1].note is not Note.SEARCHING
+    assert episode.observations[-1] is not None
+    with pytest.raises(InputError, match="searches"):
+        Replanner(one.planner, one.predictor, one.start).step(0.0, None)
 
 
 def test_commanded_trajectory_never_jumps(episode):
