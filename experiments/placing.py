@@ -32,7 +32,6 @@ from jaxplan.policy.protocol import Policy
 from jaxplan.policy.speed_profile import speed_profile_policy
 from jaxplan.precision import in_float64
 from jaxplan.prediction.candidates import Candidates, candidates_from
-from jaxplan.records import replace
 from jaxplan.runner.definition import Experiment, Item, Row
 from jaxplan.spline import FlatState, FlatStateBatch, PiecewisePolynomial
 from jaxplan.tracking.result import held_error
@@ -156,7 +155,7 @@ def _cluttered(config: Config) -> CourseSet:
     """Rooms of the arena's levels in turn, of as many boxes each."""
     rooms = [cluttered_room(*CLUTTER[n % len(CLUTTER)], SEEDS + config.seed + n) for n in range(config.rooms)]
     points = np.stack([courses_in(room, config.seed + n, config.courses) for n, room in enumerate(rooms)])
-    nameless = [replace(room, name="", provenance="") for room in rooms]
+    nameless = [room.nameless() for room in rooms]
     return CourseSet(jax.tree.map(lambda *leaves: np.stack(leaves).astype(np.float32), *nameless), points)
 
 

@@ -207,7 +207,7 @@ def predictor_for(config: InterceptConfig, world: World, target: Target | None) 
 def distance_in(world: World) -> DistanceFunction:
     """The world is handed to the device once."""
     with jax.enable_x64(True):
-        on_device = jax.device_put(world)
+        on_device = jax.device_put(world.nameless())
     return functools.partial(host_free_distance, on_device, width=POINTS_AT_ONCE)
 
 

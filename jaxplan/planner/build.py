@@ -229,7 +229,7 @@ def _roll_out(
 @in_float64
 def _on_device(world: World) -> World:
     """The world as the compiled stations take it, without its names, which would be part of what is compiled for."""
-    return jax.device_put(replace(world, name="", provenance=""))
+    return jax.device_put(world.nameless())
 
 
 def plan_batch(

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from jaxplan.arrays import AnyArray
 from jaxplan.errors import InputError
-from jaxplan.records import record, static
+from jaxplan.records import record, replace, static
 
 DEFAULT_KEEP_IN = 0.2
 """m; distance that the vehicle's centre keeps from the room's faces where a file says nothing. The default vehicle's
@@ -188,6 +188,10 @@ class World:
     def diagonal(self) -> float:
         """Length of the room's space diagonal [m] (host)."""
         return float(np.linalg.norm(np.asarray(self.bounds)[1] - np.asarray(self.bounds)[0]))
+
+    def nameless(self) -> "World":
+        """The same without its names: what is compiled for a world with a name is for that name alone (host)."""
+        return replace(self, name="", provenance="") if self.name or self.provenance else self
 
 
 def no_boxes() -> Boxes:

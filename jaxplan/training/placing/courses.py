@@ -28,7 +28,6 @@ from jaxplan.knots import resample
 from jaxplan.planner.validator import Room as Solid
 from jaxplan.policy.placing import SEGMENTS
 from jaxplan.precision import in_float64
-from jaxplan.records import replace
 from jaxplan.search.kernels.solids import solids_of
 from jaxplan.search.routes import find_routes
 from jaxplan.search.stops import stop_points
@@ -108,7 +107,7 @@ def load_courses(folder: Path, *, held_out: bool) -> CourseSet:
         points.append(arrays["points"])
     if not worlds:
         raise FileError(f"{folder}: has no {'held-out' if held_out else 'training'} courses; make more shards")
-    nameless = [replace(world, name="", provenance="") for world in worlds]
+    nameless = [world.nameless() for world in worlds]
     stacked = jax.tree.map(lambda *leaves: np.stack(leaves).astype(np.float32), *nameless)
     return CourseSet(stacked, np.concatenate(points))
 
