@@ -193,11 +193,10 @@ class Replanner:
     def _predicted(self, now: float, observations: Observations | None, measured: Measured | None) -> Candidates:
         """Where the target may be, or where to look for it."""
         if isinstance(self._predictor, Searcher):
-            self._predictor.look_from(
-                now, np.asarray(self._committed.at(now).pos) if measured is None else measured.position
-            )
+            place = self._committed.at(now).pos if measured is None else measured.position
+            self._predictor.look_from(now, np.asarray(place, dtype=float))
             return self._predictor(observations, self._cycles)
-        assert observations is not None
+        assert observations is not None, "step has refused that"
         return self._predictor(observations, self._cycles)
 
     def _start(self, now: float, measured: Measured | None, ahead: Ahead | None) -> Start:

@@ -25,7 +25,6 @@ from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.clearance import free_distance
 from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import Boxes, make_obstacles
-from jaxplan.world.occupancy import fitting_resolution
 from jaxplan.world.update import update_world, with_spare_boxes
 from oracles.planner_cases import CONFIG, START, candidates, in_flight
 from tolerances import tolerance
@@ -268,23 +267,6 @@ def test_a_planner_taken_to_another_world_plans_as_one_built_there(planner, worl
     again = moved.in_world(replace(crowded, name="the same under another name"))
     np.testing.assert_array_equal(again.plan_batch(moving, given).reasons, theirs.reasons)
     assert compilations() == before
-
-
-def test_a_planner_is_taken_to_a_world_that_is_too_large_for_its_cells(planner, world, moving):
-    """With coarser ones; it keeps them in the next world, and all that is compiled."""
-    flat = np.array([[-30.0, -33.0, 0.0], [30.0, 33.0, 7.0]])
-    large = replace(world, name="large", bounds=flat)
-    with pytest.raises(InputError, match="--resolution"):
-        planner.in_world(large)
-    fits = fitting_resolution(large)
-    counted = compilations()
-    moved = planner.in_world(large, fits)
-    assert moved.config.resolution == fits > planner.config.resolution
-    assert select(moved.plan_batch(moving, candidates(30))) >= 0
-    assert compilations() == counted
-    assert moved.in_world(large).config.resolution == fits
-    with pytest.raises(InputError, match="resolution is -0.1"):
-        planner.in_world(large, -0.1)
 
 
 def test_a_planner_of_a_changed_world_plans_as_one_built_there_and_compiles_nothing(world, moving):

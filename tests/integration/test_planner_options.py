@@ -14,11 +14,13 @@ from jaxplan.planner import PlannerConfig, Plans, build_planner, select
 from jaxplan.planner.stations import LENGTHS
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
+from jaxplan.records import replace
 from jaxplan.spline import hover
 from jaxplan.status import Reason
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import World, aligned_boxes, make_obstacles
+from jaxplan.world.occupancy import fitting_resolution
 from oracles.planner_cases import CONFIG, START, candidates, in_flight
 from tolerances import relative, tolerance
 
@@ -229,3 +231,22 @@ def test_what_cannot_be_asked_for_is_not_compiled(world, moving, allocate):
         planner.approach(start, candidates(20))
         planner.brake(start)
     assert compilations() == before
+
+
+def test_a_planner_is_taken_to_a_world_that_is_too_large_for_its_cells(world, moving):
+    """With coarser ones; it keeps them in the next world, and all that is compiled."""
+    planner = build_planner(CONFIG, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
+    assert select(planner.plan_batch(moving, candidates(30))) >= 0
+    flat = np.array([[-30.0, -33.0, 0.0], [30.0, 33.0, 7.0]])
+    large = replace(world, name="large", bounds=flat)
+    with pytest.raises(InputError, match="--resolution"):
+        planner.in_world(large)
+    fits = fitting_resolution(large)
+    counted = compilations()
+    moved = planner.in_world(large, fits)
+    assert moved.config.resolution == fits > planner.config.resolution
+    assert select(moved.plan_batch(moving, candidates(30))) >= 0
+    assert compilations() == counted
+    assert moved.in_world(large).config.resolution == fits
+    with pytest.raises(InputError, match="resolution is -0.1"):
+        planner.in_world(large, -0.1)

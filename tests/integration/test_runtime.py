@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 from jaxplan.errors import FileError, InputError, ResourceError
-from jaxplan.prediction.lookout import Lookout
-from jaxplan.prediction.protocol import PredictionConfig
 from jaxplan.replanner import Measured, ReplannerConfig
 from jaxplan.replanner.committed import hold
 from jaxplan.runtime import Phase, Runtime, RuntimeConfig
@@ -28,7 +26,7 @@ from jaxplan.runtime.messages import (
 )
 from jaxplan.runtime.worker import Task, Worker, carried_to
 from jaxplan.spline import FlatState, hover
-from jaxplan.status import Note, PlanStatus
+from jaxplan.status import PlanStatus
 from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.load import load_world
 from oracles import runtime_builds
@@ -91,19 +89,6 @@ def test_a_round_offers_a_plan_that_goes_on_from_the_last(built):
     held.offer(second)
     assert (second.head.number, second.head.predecessor) == (2, 1)
     assert held.answer == (2, 2), held.refused
-
-
-def test_a_planner_that_looks_for_its_target_begins_before_it_is_seen(built):
-    slow = dataclasses.replace(PATIENT, replanning=ReplannerConfig(latency=1.0))
-    looking = built._replace(predictor=Lookout(built.predictor, built.world, PredictionConfig()))
-    worker_for(looking, slow).tick()  # compiles
-    worker = worker_for(looking, slow)
-    cycle = worker.tick()
-    assert cycle.note is Note.SEARCHING
-    assert cycle.status is PlanStatus.INTERCEPT
-    assert len(tables(worker)) == 1
-    seen_by(worker)
-    assert worker.tick().note is Note(0)
 
 
 def test_what_the_pilot_refuses_is_taken_back(built):
