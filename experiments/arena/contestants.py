@@ -4,6 +4,7 @@ A contestant is a name and a function that builds what stands where a ``Replanne
 adds one.
 """
 
+import dataclasses
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -113,8 +114,9 @@ def predictor_named(name: str, case: Case) -> Predictor:
 
 def looking(predictor: Predictor, world: World, sight: SightConfig) -> Predictor:
     """The same, and where nobody sees the target, where to look for it with this sensor."""
-    turning = 2.0 * np.pi / sight.turn_rate if sight.field_of_view < 2.0 * np.pi else 0.2
-    config = LookoutConfig(sight_range=sight.sight_range, dwell=turning)
+    config = LookoutConfig(sight_range=sight.sight_range)
+    if sight.field_of_view < 2.0 * np.pi:
+        config = dataclasses.replace(config, dwell=2.0 * np.pi / sight.turn_rate)
     key = (world.name, config)
     if key not in _VIEWS:
         _VIEWS[key] = views_of(world, config)
@@ -122,7 +124,7 @@ def looking(predictor: Predictor, world: World, sight: SightConfig) -> Predictor
 
 
 _VIEWS: dict[tuple[str, LookoutConfig], Views] = {}
-"""Of the stored rooms, by sensor: nine at most."""
+"""Of the stored rooms, by sensor: eighteen at most."""
 
 
 def mixture_for(world: World, config: PredictionConfig) -> TargetModel:

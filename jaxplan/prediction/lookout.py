@@ -27,7 +27,7 @@ from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.obstacles import World
 
 MOST_PLACES = 600
-"""Of a room (arbitrary: what is seen from each of them is found in half a second)."""
+"""Of a room (arbitrary: what is seen from each of them is found in a tenth of a second)."""
 STOREY = 1.5
 """m; rooms twice as high have two layers of places (arbitrary)."""
 NEIGHBOURS = 1.8
@@ -62,7 +62,7 @@ class LookoutConfig:
 
     def __post_init__(self) -> None:
         require_positive("lookout", self, "dwell", "forgotten", "pace", "target_speed", "clearance")
-        if not self.sight_range > 0.0:
+        if not self.sight_range > 0.0:  # which may be infinite, other than what has to be positive
             require_positive("lookout", self, "sight_range")
 
 
@@ -79,7 +79,7 @@ class Views(NamedTuple):
 
 
 def views_of(world: World, config: LookoutConfig | None = None) -> Views:
-    """The places of a room, once for all flights in it (half a second)."""
+    """The places of a room, once for all flights in it."""
     config = config or LookoutConfig()
     lower, upper = np.asarray(world.bounds, dtype=float)
     inside = np.array([config.clearance, -config.clearance])[:, None] + [lower, upper]
