@@ -25,6 +25,7 @@ from jaxplan.planner.brake import brake, impact
 from jaxplan.planner.capture import prospect_of
 from jaxplan.planner.corrections import correct
 from jaxplan.planner.descent import build_descent
+from jaxplan.planner.kernels.pieces import body_of
 from jaxplan.planner.parts import Parts, Placing
 from jaxplan.planner.placed import build_match_placed
 from jaxplan.planner.records import (
@@ -111,7 +112,9 @@ def build_planner(
     begin = None if placing is None else _compiled(placing, config, vehicle)
     flyer = None if config.rollouts is None else build_flyer(config.rollouts, vehicle)
     room = _room(lattices, world)
-    return _planner(Parts(config, stations, lattices, _on_device(world), room, vehicle, descend, begin, flyer))
+    return _planner(
+        Parts(config, stations, lattices, _on_device(world), room, vehicle, body_of(vehicle), descend, begin, flyer)
+    )
 
 
 def _search_options(config: PlannerConfig, vehicle: Vehicle) -> SearchConfig:
@@ -210,7 +213,7 @@ def _validate(
 ) -> Verdict:
     """The last look at a plan, with the planner's room, vehicle and limits."""
     keep, config = parts.keep.wider(wider), parts.config.validator
-    return validate(usual_spline(spline), parts.room, parts.vehicle, keep, config, since=since, start=start)
+    return validate(usual_spline(spline), parts.room, parts.body, keep, config, since=since, start=start)
 
 
 def _roll_out(

@@ -13,6 +13,7 @@ from jaxplan.batching import at_fixed_width, pick
 from jaxplan.planner.capture import Prospect, straight_capture_times
 from jaxplan.planner.descent import Descend
 from jaxplan.planner.kernels.goals import reasons_against
+from jaxplan.planner.kernels.pieces import Body
 from jaxplan.planner.placed import MatchPlaced
 from jaxplan.planner.records import PlannerConfig
 from jaxplan.planner.rollouts import Flyer
@@ -77,6 +78,8 @@ class Parts(NamedTuple):
     room: Room
     """The same world, but the boxes that stand for what moves, for checks and the last look at a plan."""
     vehicle: Vehicle
+    body: Body
+    """Its numbers, for the last look."""
     descend: Descend | None = None
     """The compiled part of a refinement, where chosen plans are refined."""
     placing: Placing | None = None

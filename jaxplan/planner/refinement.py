@@ -108,7 +108,7 @@ def _judged(parts: Parts, state: FlatState, asked: _Asked, found: Descended, see
     """What a descent has found, with all that is against it; the model flies what is good otherwise."""
     config, time, spline = parts.config.refinement, found.time, found.spline
     assert config is not None
-    verdict = validate(spline, parts.room, parts.vehicle, parts.keep, _strict(parts, config), start=state)
+    verdict = validate(spline, parts.room, parts.body, parts.keep, _strict(parts, config), start=state)
     late = Reason.ALPHA_LT_1 if time > asked.expected.horizon and not seed.late else Reason(0)
     unkept = Reason(0) if found.least >= -VIOLATION else Reason.LIMITS
     reasons = late | unkept | _against(verdict.faults)

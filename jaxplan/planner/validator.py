@@ -1,4 +1,4 @@
-"""The last look at a plan before it is committed, and at a committed one in every cycle (host, NumPy).
+"""The last look at a plan before it is committed, and at a committed one in every cycle (host).
 
 It shares one thing with the checks that chose the plan, the distance from a point to what is solid, which tests compare
 with another code's (``jaxplan.world.clearance``). It evaluates polynomials by Taylor's expansion about the middles of
@@ -12,16 +12,16 @@ that holds between samples too. Rotors are looked at against drag, at the middle
 import dataclasses
 import enum
 import functools
-from math import comb, factorial
+from math import factorial
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from jaxplan.planner.kernels.pieces import Body, Pieces, cut
 from jaxplan.search.kernels.sight import clearances
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.validation import require_positive, require_within
-from jaxplan.vehicle.params import Vehicle
 
 FINER = 4
 """By how much the pieces are cut again where only the bound between samples is too small (arbitrary)."""
@@ -29,8 +29,6 @@ ROUNDING = 1e-6
 """By how much positions and derivatives may differ where they should be equal: of their size, at least of 1 SI."""
 CLEARANCE_ROUNDING = 1e-4
 """m; distances of two codes, one of them from single-precision grids."""
-INSTANT = 1e-3
-"""s; over which an attitude is followed for its rates: their error is of the order of its square."""
 
 
 class Fault(enum.IntFlag):
@@ -116,25 +114,10 @@ class Room(NamedTuple):
         return np.minimum(clearances(self.solids, inside).reshape(to_wall.shape), to_wall)
 
 
-class _Pieces(NamedTuple):
-    """Taylor coefficients about the middles of all pieces, what is flown already left out."""
-
-    powers: Float[np.ndarray, "n 10 3"]
-    """p^(k) / k! [m/s^k]."""
-    half: Float[np.ndarray, "n"]
-    """Seconds from the middle to the ends."""
-    yaw: Float[np.ndarray, "n 3"]
-    """Yaw and its first two derivatives [rad, SI]."""
-
-    def derivative(self, order: int) -> Float[np.ndarray, "n 3"]:
-        """In the middles [SI]."""
-        return factorial(order) * self.powers[:, order]
-
-
 def validate(
     spline: PiecewisePolynomial,
     room: Room,
-    vehicle: Vehicle,
+    body: Body,
     keep: Keep,
     config: ValidatorConfig,
     *,
@@ -146,7 +129,7 @@ def validate(
     Args:
         spline: the plan, without padding, in NumPy.
         room: where it is flown.
-        vehicle: what flies it.
+        body: of the vehicle that flies it.
         keep: its distance from obstacles and faces.
         config: the other limits.
         since: what it has flown already [s of its own time].
@@ -155,122 +138,29 @@ def validate(
     numbers = (spline.durations, spline.position, np.zeros(0) if spline.yaw is None else spline.yaw)
     if not all(np.isfinite(part).all() for part in numbers) or not (np.asarray(spline.durations) > 0.0).all():
         return Verdict(Fault.NONFINITE, -np.inf, np.inf)
-    pieces = _cut(spline, config.pieces, since)
+    pieces, effort = cut(spline, config.pieces, since, body)
     clearance, spare, seen = _clearance(pieces, room, keep)
     if spare < 0.0 <= seen:
-        clearance, spare, _ = _clearance(_cut(spline, FINER * config.pieces, since), room, keep)
-    thrust, excess = _effort(pieces, vehicle)
+        clearance, spare, _ = _clearance(cut(spline, FINER * config.pieces, since)[0], room, keep)
     faults = _joints(spline, start)
     for bad, fault in (
         (spare < -CLEARANCE_ROUNDING, Fault.CLEARANCE),
-        (thrust > 1.0 + ROUNDING, Fault.THRUST),
-        (excess > config.most_excess, Fault.ROTORS),
-        (np.linalg.norm(pieces.derivative(1), axis=1).max() > config.max_speed, Fault.SPEED),
+        (effort.thrust > 1.0 + ROUNDING, Fault.THRUST),
+        (effort.excess > config.most_excess, Fault.ROTORS),
+        (pieces.speed.max() > config.max_speed, Fault.SPEED),
     ):
         faults |= fault if bad else Fault(0)
-    return Verdict(faults, clearance, excess)
+    return Verdict(faults, clearance, effort.excess)
 
 
-def _cut(spline: PiecewisePolynomial, count: int, since: float) -> _Pieces:
-    """Each segment in ``count`` pieces; those that end before ``since`` [s] are left out, but never the last one."""
-    durations = np.asarray(spline.durations)
-    middles = (np.arange(count) + 0.5) / count
-    rates = (1.0 / durations)[:, None, None, None]
-    position = _expanded(np.asarray(spline.position), count)
-    position *= rates ** np.arange(position.shape[2])[None, None, :, None]
-    yaw = np.zeros((len(durations), count, 3))
-    if spline.yaw is not None:
-        turns = _expanded(np.asarray(spline.yaw)[..., None], count)[:, :, :3, 0]
-        yaw = turns * rates[..., 0] ** np.arange(3) * np.array([1.0, 1.0, 2.0])
-    ends = (np.cumsum(durations) - durations)[:, None] + (middles + 0.5 / count) * durations[:, None]
-    left = ends.ravel() >= min(since, float(durations.sum()) - 1e-9)
-    half = np.repeat(0.5 * durations / count, count)
-    return _Pieces(position.reshape(-1, *position.shape[2:])[left], half[left], yaw.reshape(-1, 3)[left])
-
-
-def _expanded(coefficients: Float[np.ndarray, "m n d"], count: int) -> Float[np.ndarray, "m {count} n d"]:
-    """Ascending coefficients about the middles of ``count`` pieces of each segment, in normalised time."""
-    segments, size, axes = coefficients.shape
-    found = _taylor(count, size).reshape(count * size, size) @ coefficients
-    return found.reshape(segments, count, size, axes)
-
-
-@functools.cache
-def _taylor(count: int, size: int) -> Float[np.ndarray, "{count} {size} {size}"]:
-    """From ascending coefficients in s to those about the middles of ``count`` pieces of [0, 1]."""
-    middles = (np.arange(count) + 0.5) / count
-    table = np.zeros((count, size, size))
-    for power in range(size):
-        for order in range(power + 1):
-            table[:, order, power] = comb(power, order) * middles ** (power - order)
-    return table
-
-
-def _clearance(pieces: _Pieces, room: Room, keep: Keep) -> tuple[float, float, float]:
+def _clearance(pieces: Pieces, room: Room, keep: Keep) -> tuple[float, float, float]:
     """Lower bound of the free distance [m] on all pieces, the same less what is kept, and the latter in the middles.
 
     What is kept goes by the least speed that a piece may have: no piece is refused for a speed that it may not have.
     """
-    lengths = np.linalg.norm(pieces.powers[:, 1:], axis=2)
-    moved = (lengths * pieces.half[:, None] ** np.arange(1, lengths.shape[1] + 1)).sum(axis=1)
-    orders = np.arange(2, lengths.shape[1] + 1)
-    changed = (orders * lengths[:, 1:] * pieces.half[:, None] ** (orders - 1)).sum(axis=1)
-    free = room.free_distance(pieces.powers[:, 0])
-    kept = keep.at(lengths[:, 0] - changed)
-    return float((free - moved).min()), float((free - moved - kept).min()), float((free - kept).min())
-
-
-def _effort(pieces: _Pieces, vehicle: Vehicle) -> tuple[float, float]:
-    """The largest thrust against drag, as a share of what there is, and for how long [s] any rotor is out of range."""
-    mass, inertia = float(vehicle.mass), np.asarray(vehicle.inertia, float)
-    attitudes, thrusts = _attitude(pieces, vehicle, np.array([-INSTANT, 0.0, INSTANT]))
-    first, second = _turned(attitudes[:-1], attitudes[1:])
-    rates, turning = (first + second) / (2.0 * INSTANT), (second - first) / INSTANT**2
-    moment, thrust = inertia * turning + _cross(rates, inertia * rates), thrusts[1]
-    wrench = np.concatenate([moment, mass * thrust[:, None]], axis=1)
-    squared = np.linalg.solve(_allocation(vehicle), wrench.T).T
-    least, most = float(vehicle.rotor_speed_min) ** 2, float(vehicle.rotor_speed_max) ** 2
-    outside = np.any((squared < least) | (squared > most), axis=1)
-    whole = 4.0 * float(vehicle.thrust_coefficient) * most / mass
-    return float(thrust.max() / whole), float(2.0 * pieces.half[outside].sum())
-
-
-def _allocation(vehicle: Vehicle) -> Float[np.ndarray, "4 4"]:
-    """From squared rotor speeds to moment and thrust (``jaxplan.vehicle.mixing``)."""
-    x, y, _ = np.asarray(vehicle.rotor_positions, float).T
-    lift, torque = float(vehicle.thrust_coefficient), float(vehicle.torque_coefficient)
-    return np.stack([lift * y, -lift * x, torque * np.asarray(vehicle.rotor_spin, float), np.full(4, lift)])
-
-
-def _attitude(
-    pieces: _Pieces, vehicle: Vehicle, times: Float[np.ndarray, "t"]
-) -> tuple[Float[np.ndarray, "t n 3 3"], Float[np.ndarray, "t n"]]:
-    """Body to world, and thrust per mass [m/s^2], so long [s] after the middles: b_z along it, b_x over the yaw."""
-    vel, acc, jerk, snap = (pieces.derivative(order) for order in (1, 2, 3, 4))
-    time = times[:, None, None]
-    moved = vel + time * acc + 0.5 * time**2 * jerk
-    drag = float(vehicle.drag_coefficient) / float(vehicle.mass) * np.linalg.norm(moved, axis=-1, keepdims=True) * moved
-    force = acc + time * jerk + 0.5 * time**2 * snap + drag
-    force[..., 2] += float(vehicle.gravity)
-    thrust = np.linalg.norm(force, axis=-1)
-    up = force / np.maximum(thrust, 1e-12)[..., None]
-    yaw = (pieces.yaw @ [np.ones_like(times), times, 0.5 * times**2]).T
-    aside = np.stack([-np.sin(yaw), np.cos(yaw), np.zeros_like(yaw)], axis=-1)
-    forward = _cross(aside, up)
-    forward /= np.maximum(np.linalg.norm(forward, axis=-1), 1e-12)[..., None]
-    return np.stack([forward, _cross(up, forward), up], axis=-1), thrust
-
-
-def _cross(one: Float[np.ndarray, "*n 3"], other: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """As ``numpy.cross``, which takes three times as long."""
-    return one[..., [1, 2, 0]] * other[..., [2, 0, 1]] - one[..., [2, 0, 1]] * other[..., [1, 2, 0]]
-
-
-def _turned(first: Float[np.ndarray, "*n 3 3"], second: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 3"]:
-    """The small rotation [rad, body] from one attitude to the next."""
-    turn = np.swapaxes(first, -1, -2) @ second
-    skew = 0.5 * (turn - np.swapaxes(turn, -1, -2))
-    return np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
+    free, kept = room.free_distance(pieces.middle), keep.at(pieces.slowest)
+    sure = free - pieces.moved
+    return float(sure.min()), float((sure - kept).min()), float((free - kept).min())
 
 
 def _joints(spline: PiecewisePolynomial, start: FlatState | None) -> Fault:

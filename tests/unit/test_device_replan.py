@@ -12,6 +12,7 @@ from jaxplan.errors import InputError
 from jaxplan.feasibility.checkpoint import load_classifier
 from jaxplan.io.targets import load_target
 from jaxplan.planner import PlannerConfig
+from jaxplan.planner.kernels.pieces import body_of
 from jaxplan.planner.validator import Keep, Room, ValidatorConfig, validate
 from jaxplan.policy.checkpoint import load_policy
 from jaxplan.search.kernels.solids import solids_of
@@ -73,7 +74,7 @@ def test_the_plan_passes_the_last_look(decision: Decision) -> None:
     radius = float(VEHICLE.radius)
     keep = Keep(radius + checks.tracking_margin, checks.slow, checks.margin_per_speed, radius + checks.most_margin)
     room = Room(tuple(solids_of(WORLD)), np.asarray(WORLD.bounds, dtype=np.float64))
-    verdict = validate(plan_of(decision), room, VEHICLE, keep, ValidatorConfig(), start=START)
+    verdict = validate(plan_of(decision), room, body_of(VEHICLE), keep, ValidatorConfig(), start=START)
     assert not verdict.faults
 
 

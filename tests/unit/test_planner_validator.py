@@ -8,6 +8,7 @@ import pytest
 
 import jaxplan
 from jaxplan.errors import InputError
+from jaxplan.planner.kernels.pieces import body_of
 from jaxplan.planner.validator import Fault, Keep, Room, ValidatorConfig, validate
 from jaxplan.precision import in_float64
 from jaxplan.records import replace
@@ -20,6 +21,7 @@ from jaxplan.world.load import load_world
 
 WAYPOINTS = np.array([[-4.3, -4.3, 1.0], [-4.2, -2.0, 1.1], [-4.0, 0.5, 1.0], [-4.1, 3.0, 1.2]])
 VEHICLE = load_vehicle()
+BODY = body_of(VEHICLE)
 LEAST = Keep(float(VEHICLE.radius) + 0.1)
 
 
@@ -38,7 +40,7 @@ def room(name: str = "env1") -> Room:
 
 
 def look(spline: PiecewisePolynomial, **options: object):  # type: ignore[no-untyped-def]
-    return validate(spline, room(), VEHICLE, LEAST, options.pop("config", ValidatorConfig()), **options)  # type: ignore[arg-type]
+    return validate(spline, room(), BODY, LEAST, options.pop("config", ValidatorConfig()), **options)  # type: ignore[arg-type]
 
 
 def test_a_good_plan_passes() -> None:
@@ -66,7 +68,7 @@ def test_more_is_kept_where_it_is_faster() -> None:
     for per_speed in (0.01, 0.03, 0.1, 0.3):
         keep = Keep(0.2, slow=1.0, per_speed=per_speed, most=0.6)
         spare = (free - keep.at(speed)).min()
-        found = validate(spline, room(), VEHICLE, keep, ValidatorConfig(pieces=256))
+        found = validate(spline, room(), BODY, keep, ValidatorConfig(pieces=256))
         assert abs(spare) > 0.02, "the case is clear"
         assert bool(found.faults & Fault.CLEARANCE) == (spare < 0.0)
         assert keep.wider(0.1).at(speed) == pytest.approx(keep.at(speed) + 0.1)
@@ -82,7 +84,7 @@ def test_the_time_out_of_the_rotors_range_is_that_of_their_speeds() -> None:
         states = spline.state(0.5 * (times[1:] + times[:-1]))
         margins = np.asarray(limited(FlatState(derivatives=states.derivatives, yaw=states.yaw)))
         expected = float((margins < 0.0).mean() * spline.duration)
-        found = validate(spline, room(), still, LEAST, ValidatorConfig(pieces=256)).excess
+        found = validate(spline, room(), body_of(still), LEAST, ValidatorConfig(pieces=256)).excess
         assert found == pytest.approx(expected, abs=0.03)
 
 
