@@ -12,7 +12,8 @@ from jaxplan.optimizer.interior_point import DescentConfig, _merit
 from jaxplan.optimizer.interior_point import descend as batched_descend
 from jaxplan.optimizer.kernels.case import Case, make_tables, mixer_of
 from jaxplan.optimizer.kernels.descent import descend, solve
-from jaxplan.optimizer.kernels.margins import look, make_work, set_up
+from jaxplan.optimizer.kernels.margins import look, make_work
+from jaxplan.optimizer.kernels.newton import set_up
 from jaxplan.optimizer.margins import linearise, values
 from jaxplan.optimizer.problem import Limits, TargetTable, Task, Variables, flatten, splines, unflatten
 from jaxplan.records import replace

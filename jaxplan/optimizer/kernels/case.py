@@ -59,13 +59,16 @@ class Tables(NamedTuple):
     """From coefficients to position and derivatives in normalised time where the body is looked at."""
     places: Float[np.ndarray, "p 2 10"]
     """To position and its derivative where the distance to obstacles is."""
+    ways: Float[np.ndarray, "2 10 l"]
+    """The same with the places last, in whole vectors: 0 behind the last one."""
 
 
 def make_tables(body_samples: int, place_samples: int) -> Tables:
     """For so many looks at the body and at obstacles in each segment, in the middles of even parts."""
-    return Tables(
-        hermite.energy(4).copy(), hermite.coefficients(4).copy(), _table(body_samples, 5), _table(place_samples, 2)
-    )
+    places = _table(place_samples, 2)
+    ways = np.zeros((2, 10, -(-place_samples // 8) * 8))
+    ways[:, :, :place_samples] = np.moveaxis(places, 0, -1)
+    return Tables(hermite.energy(4).copy(), hermite.coefficients(4).copy(), _table(body_samples, 5), places, ways)
 
 
 def _table(count: int, orders: int) -> Float[np.ndarray, "{count} {orders} 10"]:

@@ -10,7 +10,8 @@ from jaxtyping import Float
 from jaxplan.optimizer.interior_point import DescentConfig
 from jaxplan.optimizer.kernels.case import Case
 from jaxplan.optimizer.kernels.compiled import entry_point, inner, source_digest, within
-from jaxplan.optimizer.kernels.margins import Work, look, make_work, set_up
+from jaxplan.optimizer.kernels.margins import Work, look, make_work
+from jaxplan.optimizer.kernels.newton import set_up
 from jaxplan.optimizer.kernels.splines import shape
 
 LENGTHS = 7

@@ -14,6 +14,9 @@ from jaxtyping import Float
 
 from jaxplan.optimizer.kernels.compiled import inner, summing, within
 
+LINE = 64
+"""Bytes of a line of memory."""
+
 
 class Spline(NamedTuple):
     """Room for a spline of m segments."""
@@ -46,16 +49,24 @@ class Tangents(NamedTuple):
     coefficients: Float[np.ndarray, "m 10 w"]
 
 
+def aligned(shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
+    """Zeros that begin with a line of memory (host): vectors that begin elsewhere are read in two steps."""
+    size = math.prod(shape)
+    room = np.zeros(size + LINE // 8)
+    first = -room.ctypes.data % LINE // 8
+    return room[first : first + size].reshape(shape)
+
+
 def make_spline(m: int) -> Spline:
     """Room for one spline (host)."""
     shapes = (m,), (m, 5), (m + 1, 5, 3), (4 * (m - 1), 8), (4 * (m - 1), 3), (m, 10, 3)
-    return Spline(*(np.zeros(shape) for shape in shapes))
+    return Spline(*(aligned(shape) for shape in shapes))
 
 
 def make_tangents(m: int) -> Tangents:
     """Room for its derivatives (host); rows end in zeros, so that they are whole vectors."""
     width = -(-(4 * m + 3) // 8) * 8
-    return Tangents(np.zeros((4 * (m - 1), width)), np.zeros((10, width)), np.zeros((m, 10, width)))
+    return Tangents(*(aligned(shape) for shape in ((4 * (m - 1), width), (10, width), (m, 10, width))))
 
 
 @inner
