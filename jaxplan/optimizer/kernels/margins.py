@@ -45,6 +45,8 @@ class Work(NamedTuple):
     what is kept grows with velocity; and the weights of the four."""
     rows: Float[np.ndarray, "v+2 r"]
     """Some numbers' part: a row a variable, then what couples with the slack, then the pull."""
+    parts: Float[np.ndarray, "v+2 p l"]
+    """The same memory: the columns of places, by margin."""
     sums: Float[np.ndarray, "v+2 v+2"]
     """Products of the rows, of all numbers; right of the diagonal what is left over."""
     system: Float[np.ndarray, "v+1 v+1"]
@@ -57,10 +59,12 @@ class Work(NamedTuple):
 def make_work(m: int, tables: Tables) -> Work:
     """For m segments (host)."""
     tangents, length = make_tangents(m), tables.ways.shape[2]
-    width, columns = tangents.ends.shape[1], max(_columns(len(tables.body)), 4 * length)
-    shapes = (5, 3), (WIDTH,), (5, width), (4, 3, WIDTH), (2, width, length), (13, length), (4 * m + 2, columns)
+    width, parts = tangents.ends.shape[1], max(-(-_columns(len(tables.body)) // length), 5)
+    rows = aligned((4 * m + 2, parts * length))
+    shapes = (5, 3), (WIDTH,), (5, width), (4, 3, WIDTH), (2, width, length), (13, length)
     sizes = (4 * m + 2, 4 * m + 2), (4 * m + 1, 4 * m + 1), (4 * m + 1,), (4 * m,)
-    return Work(make_spline(m), tangents, *(aligned(size) for size in (*shapes, *sizes)))
+    before, behind = ([aligned(size) for size in some] for some in (shapes, sizes))
+    return Work(make_spline(m), tangents, *before, rows, rows.reshape(len(rows), parts, length), *behind)
 
 
 def _columns(looks: int) -> int:

@@ -128,41 +128,55 @@ def _place_rows(case, i, slack, barrier, work):
     for s in range(len(case.tables.places), length):
         for number in range(4):
             couple[number * length + s] = pulls[number * length + s] = 0.0
-    _enter_places(place, ways, m, length, work.rows)
+    _enter_places(place, ways, m, work.parts)
     return total, pulled
 
 
-@summing
+@inner
 @no_type_check
 def _move_places(tables, sources, duration, m, i, ways):
     """``_move`` for all places of a segment: position and velocity."""
-    scale = 1.0
-    for order in range(2):
-        for column in range(4 * m + 3):
-            row = ways[order, column]
-            row[:] = 0.0
-            for power in range(order, 10):
-                table, factor = tables[order, power], scale * sources[power, column]
-                for s in range(len(row)):
-                    row[s] += factor * table[s]
-        scale /= duration
+    _move_order(tables[0], sources, 1.0, 4 * m + 3, ways[0])
+    _move_order(tables[1], sources, 1.0 / duration, 4 * m + 3, ways[1])
     for axis in range(3):
-        stretched, velocity = ways[1, axis * m + i], ways[1, 4 * m + axis]
-        for s in range(len(velocity)):
-            stretched[s] -= velocity[s]
+        for s in range(ways.shape[2]):
+            ways[1, axis * m + i, s] -= ways[1, 4 * m + axis, s]
 
 
 @summing
 @no_type_check
-def _enter_places(place, ways, m, length, rows):
+def _move_order(tables, sources, scale, columns, ways):
+    """One of them; a sum of ten parts is written out, since ten loops take six times as long."""
+    a, b, c, d, e = tables[0], tables[1], tables[2], tables[3], tables[4]
+    f, g, h, i, j = tables[5], tables[6], tables[7], tables[8], tables[9]
+    for column in range(columns):
+        row = ways[column]
+        k, n, o, p, q = _five(sources, scale, 0, column)
+        r, t, u, v, w = _five(sources, scale, 5, column)
+        for s in range(len(row)):
+            low = k * a[s] + n * b[s] + o * c[s] + p * d[s] + q * e[s]
+            row[s] = low + (r * f[s] + t * g[s] + u * h[s] + v * i[s] + w * j[s])
+
+
+@inner
+@no_type_check
+def _five(sources, scale, first, column):
+    """Five of a column, scaled."""
+    a, b, c = sources[first, column], sources[first + 1, column], sources[first + 2, column]
+    return scale * a, scale * b, scale * c, scale * sources[first + 3, column], scale * sources[first + 4, column]
+
+
+@summing
+@no_type_check
+def _enter_places(place, ways, m, parts):
     """The four columns of each place: away from the obstacle and from the nearer faces, less what speed asks for."""
     a, b, c, f, g, h, p, q, r = place[0], place[1], place[2], place[3], place[4], place[5], place[6], place[7], place[8]
     of_free, of_x, of_y, of_z = place[9], place[10], place[11], place[12]
     for k in range(m):
-        free, by_x, by_y, by_z = _quarters(rows[k], length)
+        free, by_x, by_y, by_z = parts[k, 0], parts[k, 1], parts[k, 2], parts[k, 3]
         x, y, z = ways[0, k], ways[0, m + k], ways[0, 2 * m + k]
         u, v, w = ways[1, k], ways[1, m + k], ways[1, 2 * m + k]
-        for s in range(length):
+        for s in range(len(free)):
             keep = p[s] * u[s] + q[s] * v[s] + r[s] * w[s]
             free[s] = a[s] * x[s] + b[s] * y[s] + c[s] * z[s] - of_free[s] * keep
             by_x[s] = f[s] * x[s] - of_x[s] * keep
@@ -170,12 +184,11 @@ def _enter_places(place, ways, m, length, rows):
             by_z[s] = h[s] * z[s] - of_z[s] * keep
     for j in range(m):
         for axis in range(3):
-            row, away, growth = rows[m + 3 * j + axis], place[axis], place[6 + axis]
             for number in range(4):
-                slope = away if number == 0 else place[2 + number]
+                slope = place[axis] if number == 0 else place[2 + number]
                 moves = 1.0 if number == 0 or number == 1 + axis else 0.0
-                part = row[number * length : (number + 1) * length]
-                _enter_point(slope, moves, place[9 + number], growth, ways[0, 3 * m + j], ways[1, 3 * m + j], part)
+                part, weight, growth = parts[m + 3 * j + axis, number], place[9 + number], place[6 + axis]
+                _enter_point(slope, moves, weight, growth, ways[0, 3 * m + j], ways[1, 3 * m + j], part)
 
 
 @summing
@@ -184,12 +197,6 @@ def _enter_point(slope, moves, weight, growth, at, speed, part):
     """One margin at all places by one of the points, along an axis."""
     for s in range(len(part)):
         part[s] = moves * slope[s] * at[s] - weight[s] * growth[s] * speed[s]
-
-
-@inner
-@no_type_check
-def _quarters(row, length):
-    return row[:length], row[length : 2 * length], row[2 * length : 3 * length], row[3 * length : 4 * length]
 
 
 @summing
