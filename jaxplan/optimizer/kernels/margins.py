@@ -30,6 +30,10 @@ class Work(NamedTuple):
 
     spline: Spline
     tangents: Tangents
+    rows: Float[np.ndarray, "v+2 r"]
+    """Some numbers' part: a row a variable, then what couples with the slack, then the pull."""
+    parts: Float[np.ndarray, "v+2 p l"]
+    """The same memory: the columns of places, by margin."""
     state: Float[np.ndarray, "5 3"]
     """Position to snap at one instant."""
     numbers: Float[np.ndarray, "16"]
@@ -43,10 +47,6 @@ class Work(NamedTuple):
     place: Float[np.ndarray, "13 l"]
     """What its margins follow from at each place: by x, y, z away from the obstacle, towards the farther faces, and how
     what is kept grows with velocity; and the weights of the four."""
-    rows: Float[np.ndarray, "v+2 r"]
-    """Some numbers' part: a row a variable, then what couples with the slack, then the pull."""
-    parts: Float[np.ndarray, "v+2 p l"]
-    """The same memory: the columns of places, by margin."""
     sums: Float[np.ndarray, "v+2 v+2"]
     """Products of the rows, of all numbers; right of the diagonal what is left over."""
     system: Float[np.ndarray, "v+1 v+1"]
@@ -63,8 +63,8 @@ def make_work(m: int, tables: Tables) -> Work:
     rows = aligned((4 * m + 2, parts * length))
     shapes = (5, 3), (WIDTH,), (5, width), (4, 3, WIDTH), (2, width, length), (13, length)
     sizes = (4 * m + 2, 4 * m + 2), (4 * m + 1, 4 * m + 1), (4 * m + 1,), (4 * m,)
-    before, behind = ([aligned(size) for size in some] for some in (shapes, sizes))
-    return Work(make_spline(m), tangents, *before, rows, rows.reshape(len(rows), parts, length), *behind)
+    others = [aligned(size) for size in (*shapes, *sizes)]
+    return Work(make_spline(m), tangents, rows, rows.reshape(len(rows), parts, length), *others)
 
 
 def _columns(looks: int) -> int:
