@@ -26,7 +26,7 @@ def set_up(case, x, slack, barrier, penalty, damping, work):
     differentiate(case, time, work.spline, work.tangents)
     work.sums[:] = 0.0
     total, pulled, looks = 0.0, 0.0, len(case.tables.body)
-    columns = (NUMBERS * (looks - 1) + WIDTH + 7) // 8 * 8
+    columns = (NUMBERS * (looks - 1) + WIDTH + 7) // 8 * 8  # as ``make_work`` has room for
     for i in range(m):
         for s in range(looks):
             weight, pull = _body_rows(case, i, s, slack, barrier, work)

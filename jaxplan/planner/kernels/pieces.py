@@ -1,6 +1,8 @@
 """A trajectory cut into short pieces, compiled (host): how far each may go, and what it asks of the body in its middle.
 
 Polynomials are expanded about the pieces' middles; the body's rates are how its attitude turns around there.
+This is for the last look, so it shares nothing with what flies and checks plans elsewhere, vectors and mixing included
+(docs/decisions/0025).
 """
 
 import functools
