@@ -59,6 +59,7 @@ class _Timed(Rollout):
     """A model whose flights are timed."""
 
     def __init__(self, model: Rollout, watch: _Watch) -> None:
+        vars(self).update(vars(model))
         self._model, self._watch = model, watch
 
     @property

@@ -222,11 +222,13 @@ def _roll_out(
     position: Float[np.ndarray, "3"],
     velocity: Float[np.ndarray, "3"],
     acceleration: Float[np.ndarray, "3"] | None = None,
+    attitude: Float[np.ndarray, "4"] | None = None,
+    before: Rollout | None = None,
 ) -> Rollout | None:
     """The model where the vehicle is, with the planner's room and limits."""
     if parts.flyer is None:
         return None
-    return Rollout(parts.flyer, parts.room, parts.radius, flown, position, velocity, acceleration)
+    return Rollout(parts.flyer, parts.room, parts.radius, flown, position, velocity, acceleration, attitude, before)
 
 
 @in_float64

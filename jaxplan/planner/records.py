@@ -282,11 +282,14 @@ class RollOut(Protocol):
         position: Float[np.ndarray, "3"],
         velocity: Float[np.ndarray, "3"],
         acceleration: Float[np.ndarray, "3"] | None = None,
+        attitude: Float[np.ndarray, "4"] | None = None,
+        before: Rollout | None = None,
     ) -> Rollout | None:
         """None where the configuration has no rollouts; compiles nothing.
 
-        ``flown`` are the references of the last ``RolloutConfig.seconds`` at ``CONTROL_RATE``, both ends included, or
-        now's alone; ``position`` [m], ``velocity`` [m/s] and, where it is known, ``acceleration`` [m/s^2] are measured.
+        ``flown`` are the references at ``CONTROL_RATE``, both ends included, since ``before``, the model as it was
+        then, or of the last ``RolloutConfig.seconds``, or now's alone; ``position`` [m], ``velocity`` [m/s] and, where
+        they are known, ``acceleration`` [m/s^2] and ``attitude`` (w x y z) are measured.
         """
 
 

@@ -1,9 +1,9 @@
 """Plans are flown in the model of the vehicle before they are committed.
 
 What a plan asks for says little about a vehicle that is not on its reference: after a hard turn the attitude is behind,
-and the next plan, harmless from its own start, is not followed. So the model flies along the reference of the last
-second, is put where the vehicle is measured, its thrust turned to where it points, and goes on from there along each
-plan (docs/decisions/0036).
+and the next plan, harmless from its own start, is not followed. So the model flies along the reference since the last
+cycle, is put where the vehicle is measured, and turned as it is, and goes on from there along each plan
+(docs/decisions/0036).
 """
 
 import dataclasses
@@ -42,7 +42,8 @@ class RolloutConfig:
     """How long plans are flown, and what is then followed."""
 
     seconds: float = 1.0
-    """Before now, along the reference (docs/decisions/0036)."""
+    """Before now, along the reference, where the model was not put to where the vehicle was since
+    (docs/decisions/0036)."""
     ahead: float = 1.5
     """From now on, along the plan [s] (docs/decisions/0050)."""
     most_error: float = 0.3
@@ -141,18 +142,23 @@ class Rollout:
         position: Float[np.ndarray, "3"],
         velocity: Float[np.ndarray, "3"],
         acceleration: Float[np.ndarray, "3"] | None = None,
+        attitude: Float[np.ndarray, "4"] | None = None,
+        before: "Rollout | None" = None,
     ) -> None:
-        """``flown``: references until now, ``steps`` + 1 of them, or only now's, where those before are not known.
+        """``flown``: references until now, or only now's, where those before are not known.
 
-        The ``acceleration`` [m/s^2], where it is known, tells where the thrust points.
+        The ``attitude`` (w x y z), or else the ``acceleration`` [m/s^2], tells where the thrust points. ``before`` is
+        the model as it was at the first of the references; without it, it is on that.
         """
         self._flyer, self._room, self._radius = flyer, room, radius
-        up = None if acceleration is None else _thrust_direction(flyer.craft, velocity, acceleration)
-        state = _come_there(flyer.craft, flown, position, velocity, up)
+        up = _up(flyer.craft, velocity, acceleration, attitude)
+        state = _come_there(flyer.craft, flown, None if before is None else before._state, position, velocity, up)
         state[POS : POS + 3], state[VEL : VEL + 3] = position, velocity
-        if up is not None:
+        if attitude is not None:
+            state[QUAT : QUAT + 4] = attitude
+        elif up is not None:
             state[QUAT : QUAT + 4] = _tilted(state[QUAT : QUAT + 4], up)
-        self._state = state
+        self._state: Float[np.ndarray, "s"] = state
 
     @property
     def config(self) -> RolloutConfig:
@@ -182,19 +188,33 @@ class Rollout:
 def _come_there(
     craft: Craft,
     flown: FlatState,
+    before: Float[np.ndarray, "s"] | None,
     position: Float[np.ndarray, "3"],
     velocity: Float[np.ndarray, "3"],
     up: Float[np.ndarray, "3"] | None,
 ) -> Float[np.ndarray, "s"]:
     """The model after the references ``flown``; on the last of them where what it came to is not what is measured."""
     rows, yaw = np.asarray(flown.derivatives), np.asarray(flown.yaw)
-    if len(yaw) > 1:
-        state = fly(craft, on_reference(craft, rows[0], yaw[0]), rows[None], yaw[None]).state[0]
+    if before is not None or len(yaw) > 1:
+        begun = on_reference(craft, rows[0], yaw[0]) if before is None else before
+        state = fly(craft, begun, rows[None], yaw[None]).state[0]
         off = np.linalg.norm(state[POS : POS + 3] - position), np.linalg.norm(state[VEL : VEL + 3] - velocity)
         apart = 0.0 if up is None else np.arccos(np.clip(_body_z(state[QUAT : QUAT + 4]) @ up, -1.0, 1.0))
         if np.isfinite(state).all() and (np.array([*off, apart]) <= FOUND).all():
             return state
     return on_reference(craft, rows[-1], yaw[-1])
+
+
+def _up(
+    craft: Craft,
+    velocity: Float[np.ndarray, "3"],
+    acceleration: Float[np.ndarray, "3"] | None,
+    attitude: Float[np.ndarray, "4"] | None,
+) -> Float[np.ndarray, "3"] | None:
+    """Where the thrust points (unit, world), as far as it is known."""
+    if attitude is not None:
+        return _body_z(attitude)
+    return None if acceleration is None else _thrust_direction(craft, velocity, acceleration)
 
 
 def _thrust_direction(

@@ -18,7 +18,7 @@ class Ahead:
     """The model where the vehicle is now, and the references that lead from there to a takeover."""
 
     def __init__(self, model: Rollout, committed: CommittedPlans, now: float) -> None:
-        self._model = model
+        self.model, self.now = model, now
         self._times = now + np.arange(model.config.steps_ahead + 1) / CONTROL_RATE
         self._kept = committed.reference(self._times)
         self.committed = model.along(jax.tree.map(lambda rows: rows[None], self._kept))
@@ -27,7 +27,7 @@ class Ahead:
     @property
     def most_twist(self) -> float:
         """Largest turn [rad] about body z with which a committed plan is kept."""
-        return COMMITTED_TWIST * self._model.config.most_twist
+        return COMMITTED_TWIST * self.model.config.most_twist
 
     def along(self, splines: SplineBatch | PiecewisePolynomial, takeover: float) -> Rollouts:
         """One plan or many, which take over at ``takeover`` [s]."""
@@ -40,15 +40,22 @@ class Ahead:
         def spliced(kept: np.ndarray, rows: np.ndarray) -> np.ndarray:
             return np.where(before.reshape(-1, *(1,) * (kept.ndim - 1)), kept, rows)
 
-        return self._model.along(jax.tree.map(spliced, self._kept, plans), int(before.sum()))
+        return self.model.along(jax.tree.map(spliced, self._kept, plans), int(before.sum()))
 
 
-def look_ahead(planner: Planner, committed: CommittedPlans, now: float, measured: Measured | None) -> Ahead | None:
-    """None where the vehicle is not measured, or the planner has no model to fly plans in."""
+def look_ahead(
+    planner: Planner, committed: CommittedPlans, now: float, measured: Measured | None, last: Ahead | None = None
+) -> Ahead | None:
+    """None where the vehicle is not measured, or the planner has no model to fly plans in.
+
+    The model goes on from the ``last`` cycle's, where that is not too long ago.
+    """
     settings = planner.config.rollouts
     if measured is None or settings is None:
         return None
-    before = now + np.arange(-settings.steps, 1) / CONTROL_RATE
-    flown = committed.reference(before if committed.plans[0].start_time <= before[0] else before[-1:])
-    model = planner.roll_out(flown, *measured[:3])
+    steps = settings.steps + 1 if last is None else round((now - last.now) * CONTROL_RATE)
+    before = None if last is None or steps > settings.steps else last.model
+    times = now + np.arange(-min(steps, settings.steps), 1) / CONTROL_RATE
+    known = before is not None or committed.plans[0].start_time <= times[0]
+    model = planner.roll_out(committed.reference(times if known else times[-1:]), *measured, before)
     return None if model is None else Ahead(model, committed, now)

@@ -72,6 +72,7 @@ class Replanner:
         self._last = -np.inf
         self._certain = not isinstance(start, CommittedPlan)
         self._ways: Ways | None = None
+        self._ahead: Ahead | None = None
 
     @property
     def plans(self) -> list[CommittedPlan]:
@@ -149,7 +150,7 @@ class Replanner:
         self._last, latency = now, self.latency
         timer = Timer(self._clock, 1e3 * PLANNED * latency if self.config.drop_late else np.inf)
         self._keep_heading(now, measured)
-        ahead = look_ahead(self.planner, self._committed, now, measured)
+        ahead = self._ahead = look_ahead(self.planner, self._committed, now, measured, self._ahead)
         start = self._start(now, measured, ahead)
         timer.lap("roll out")
         predicted = self._predicted(now, observations, measured)

@@ -8,9 +8,11 @@ import pytest
 from jaxplan.errors import InputError
 from jaxplan.minsnap.single import minimum_snap
 from jaxplan.minsnap.spline_batch import SplineBatch
-from jaxplan.planner.rollouts import Rollout, RolloutConfig, build_flyer, sampled
+from jaxplan.planner.rollouts import LOOKED_AT, Rollout, RolloutConfig, build_flyer, sampled
 from jaxplan.planner.validator import Room
 from jaxplan.spline import FlatState, PiecewisePolynomial
+from jaxplan.tracking.kernels.flight import fly
+from jaxplan.tracking.kernels.step import POS, QUAT, VEL
 from jaxplan.tracking.rates import CONTROL_RATE
 from jaxplan.tracking.result import held_error
 from jaxplan.tracking.track import track
@@ -184,3 +186,33 @@ def test_a_plan_whose_turn_about_body_z_is_lost_is_not_followed():
     assert strict.follows(dash(4.0, turn=0.1))
     assert not strict.follows(dash(4.0, turn=30.0))
     assert patient.follows(dash(4.0, turn=30.0))
+
+
+def test_where_the_attitude_is_measured_the_model_is_turned_so(flyer, room):
+    """About body z, too, which no acceleration tells: at rest, turned by 0.5 rad, the plan asks for it to turn back."""
+    hover, ahead = along_x([0.0], NOW), both(along_x([0.0], LATER))
+    turned = np.array([np.cos(0.25), 0.0, 0.0, np.sin(0.25)])
+    place = hover.pos[-1], hover.vel[-1], np.zeros(3)
+    blind, told = (Rollout(flyer, room, float(VEHICLE.radius), hover, *place, attitude=q) for q in (None, turned))
+    assert blind.along(ahead).twist[0] == pytest.approx(0.0, abs=1e-3)
+    assert told.along(ahead).twist[0] == pytest.approx(0.5, abs=0.02)
+
+
+def test_it_goes_on_from_the_model_before(flyer, room):
+    """Pushed by 0.2 m a tenth of a second ago and measured since: its filters and rates are those of who was pushed.
+
+    Without the model before, it is taken to have come along the reference, at rest, and starts to turn late.
+    """
+    hover, ahead = along_x([0.0], NOW), along_x([0.0], LATER)
+    pushed = start(flyer, room, hover, aside=0.2)
+    steps = 20
+    since = FlatState(derivatives=ahead.derivatives[: steps + 1], yaw=ahead.yaw[: steps + 1])
+    rest = FlatState(derivatives=ahead.derivatives[steps:], yaw=ahead.yaw[steps:])
+    flown = fly(flyer.craft, pushed._state, since.derivatives[None], since.yaw[None]).state[0]
+    measured = flown[POS : POS + 3], flown[VEL : VEL + 3], None, flown[QUAT : QUAT + 4]
+    going_on = Rollout(flyer, room, float(VEHICLE.radius), since, *measured, before=pushed)
+    anew = Rollout(flyer, room, float(VEHICLE.radius), hover, *measured)
+    whole = pushed.along(both(ahead)).positions[0, steps // LOOKED_AT :]
+    found, other = (model.along(both(rest)).positions[0, : len(whole)] for model in (going_on, anew))
+    np.testing.assert_allclose(found, whole[: len(found)], atol=1e-9)
+    assert np.abs(other - whole[: len(other)]).max() > 0.01
