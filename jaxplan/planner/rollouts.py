@@ -18,12 +18,13 @@ from jaxplan.planner.validator import Room
 from jaxplan.records import record
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.tracking.kernels.craft import Craft, craft_of
-from jaxplan.tracking.kernels.flight import fly, on_reference
+from jaxplan.tracking.kernels.flight import fly, on_reference, reference_of
 from jaxplan.tracking.kernels.sampling import references
 from jaxplan.tracking.kernels.step import POS, QUAT, VEL
 from jaxplan.tracking.rates import CONTROL_RATE
 from jaxplan.tracking.result import held_error
 from jaxplan.validation import require_at_least, require_positive
+from jaxplan.vehicle.heading import body_axes
 from jaxplan.vehicle.params import Vehicle
 
 FOUND = (0.3, 1.0, 0.5)
@@ -184,6 +185,13 @@ class Rollout:
             followed=(flown.error <= config.most_error) & (flown.twist <= config.most_twist),
         )
 
+    def after(self, references: FlatState) -> FlatState:
+        """As what the vehicle flies [world] at the end of ``references`` (n), the first of them now's."""
+        rows, yaw = np.asarray(references.derivatives), np.asarray(references.yaw)
+        state = fly(self._flyer.craft, self._state, rows[None], yaw[None]).state[0]
+        derivatives, turning = reference_of(self._flyer.craft, state, float(yaw[-1, 0]))
+        return FlatState(derivatives=derivatives, yaw=turning)
+
 
 def _come_there(
     craft: Craft,
@@ -199,7 +207,7 @@ def _come_there(
         begun = on_reference(craft, rows[0], yaw[0]) if before is None else before
         state = fly(craft, begun, rows[None], yaw[None]).state[0]
         off = np.linalg.norm(state[POS : POS + 3] - position), np.linalg.norm(state[VEL : VEL + 3] - velocity)
-        apart = 0.0 if up is None else np.arccos(np.clip(_body_z(state[QUAT : QUAT + 4]) @ up, -1.0, 1.0))
+        apart = 0.0 if up is None else np.arccos(np.clip(body_axes(state[QUAT : QUAT + 4])[2] @ up, -1.0, 1.0))
         if np.isfinite(state).all() and (np.array([*off, apart]) <= FOUND).all():
             return state
     return on_reference(craft, rows[-1], yaw[-1])
@@ -213,7 +221,7 @@ def _up(
 ) -> Float[np.ndarray, "3"] | None:
     """Where the thrust points (unit, world), as far as it is known."""
     if attitude is not None:
-        return _body_z(attitude)
+        return body_axes(attitude)[2]
     return None if acceleration is None else _thrust_direction(craft, velocity, acceleration)
 
 
@@ -227,15 +235,9 @@ def _thrust_direction(
     return thrust / size if size > 0.0 else None
 
 
-def _body_z(quat_wxyz: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3"]:
-    """The body's z axis (unit, world)."""
-    w, x, y, z = quat_wxyz
-    return np.array([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)])
-
-
 def _tilted(quat_wxyz: Float[np.ndarray, "4"], up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4"]:
     """The attitude turned the shortest way to where body z is ``up`` (unit, world); as it is where that is opposite."""
-    before = _body_z(quat_wxyz)
+    before = body_axes(quat_wxyz)[2]
     turn = np.array([1.0 + before @ up, *np.cross(before, up)])
     size = np.linalg.norm(turn)
     if size == 0.0:

@@ -10,8 +10,8 @@ from jaxplan.replanner.records import Measured
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.tracking.rates import CONTROL_RATE
 
-COMMITTED_TWIST = 1.5
-"""How much more the model may be turned about body z, where a plan is committed already (arbitrary)."""
+COMMITTED_TWIST = 1.2
+"""How much more the model may be turned about body z, where a plan is committed already (docs/decisions/0060)."""
 
 
 class Ahead:
@@ -32,6 +32,11 @@ class Ahead:
     def along(self, splines: SplineBatch | PiecewisePolynomial, takeover: float) -> Rollouts:
         """One plan or many, which take over at ``takeover`` [s]."""
         return self._fly(sampled(splines, self._times - takeover), takeover)
+
+    def at(self, takeover: float) -> FlatState:
+        """The vehicle at ``takeover`` [s], as the model has it."""
+        rows = self._times <= takeover + 1e-9
+        return self.model.after(jax.tree.map(lambda leaf: leaf[rows], self._kept))
 
     def _fly(self, plans: FlatState, takeover: float) -> Rollouts:
         """Along what is committed until the takeover, then along the plans."""

@@ -51,6 +51,8 @@ class Chosen(NamedTuple):
     """Which one it is for; -1 for what is no candidate's own."""
     sooner: float = 0.0
     """By how much a refinement made it sooner [s]."""
+    anew: bool = False
+    """Whether it begins where the vehicle will be, elsewhere than the plans of the cycle."""
 
 
 Outcome = tuple[PlanStatus, Chosen | None]

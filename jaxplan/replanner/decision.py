@@ -102,7 +102,7 @@ class Decision:
             clear = flown is None or (flown.clear[0] and known.is_passed_by(flown))
             if clear and self._is_valid(spline, None, 0.0):
                 arrival = slowdown * (committed.arrival_time - committed.start_time - known.lag.since)
-                return PlanStatus.SLOWED, Chosen(spline, committed.goal, arrival, slowdown, np.nan)
+                return PlanStatus.SLOWED, Chosen(spline, committed.goal, arrival, slowdown, np.nan, anew=True)
         return outcome
 
     def _incumbent(self) -> Incumbent:

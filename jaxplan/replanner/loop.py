@@ -29,7 +29,7 @@ from jaxplan.replanner.choice import Chosen, Known, Start
 from jaxplan.replanner.committed import CommittedPlans, hold
 from jaxplan.replanner.decision import Decision, Memory
 from jaxplan.replanner.governor import BEHIND, Lag, lag_behind
-from jaxplan.replanner.measured import carried_on, heading_near, turn_from, usual_measured
+from jaxplan.replanner.measured import carried_on, usual_measured
 from jaxplan.replanner.pace import Pace
 from jaxplan.replanner.passing import Passing, Ways, usual_ways
 from jaxplan.replanner.records import CommittedPlan, Cycle, Measured, ReplannerConfig
@@ -37,6 +37,7 @@ from jaxplan.replanner.vain import Vain
 from jaxplan.spline import FlatState
 from jaxplan.status import Note, PlanStatus, count_reasons
 from jaxplan.validation import as_number
+from jaxplan.vehicle.heading import heading_near, turn_from
 from jaxplan.world.update import Change
 
 REMEMBERED = 100
@@ -248,7 +249,7 @@ class Replanner:
     def _commit(self, chosen: Chosen, start: Start, status: PlanStatus) -> Float[np.ndarray, "5"]:
         """Add a plan; returns its discontinuity from where it should begin, as ``Cycle.jump``."""
         spline = chosen.spline
-        if status is PlanStatus.SLOWED:
+        if chosen.anew:
             start = start._replace(state=spline.state(0.0), measured=True)
         plan = CommittedPlan(
             start_time=start.takeover,

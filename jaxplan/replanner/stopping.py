@@ -7,6 +7,7 @@ from jaxplan.records import replace
 from jaxplan.replanner.choice import Known, Outcome, chosen_from
 from jaxplan.replanner.passing import Passing
 from jaxplan.selection import select
+from jaxplan.spline import FlatState
 from jaxplan.status import PlanStatus, Reason
 
 STOPPING = (PlanStatus.BRAKE, PlanStatus.RECOVER, PlanStatus.BLOCKED)
@@ -15,22 +16,30 @@ FARTHER = 0.02
 """m; how much farther from obstacles the model must stay along a stop than along a committed plan that is clear itself
 (arbitrary)."""
 
+TUMBLE = 0.8
+"""m; a stop that the model is so far ``astray`` of is none: the vehicle would be lost (docs/decisions/0060)."""
+
 _Held = tuple[Stops, Rollouts | None]
 """Stops and their flights in the model, marked where they are too near to something."""
+_Found = tuple[Stops, Rollouts | None, int]
+"""And which of them is taken."""
 
 
 def stop_for(planner: Planner, known: Known, status: PlanStatus) -> Outcome:
     """What ``select_stop`` takes; where none is clear, only if the committed plan hits harder, or goes nearer.
 
-    From what moves stops keep what plans keep or, where none that is followed does, what is kept at least. Where none
+    Where the model follows none of them, and stays clear, stops are tried from where the vehicle will be. From what
+    moves stops keep what plans keep or, where none that is followed does, what is kept at least. Where none
     does that either, the one of those that are followed is taken that stays farthest away: who is off its reference
     avoids nothing.
     """
     start, committed, ahead, passing = known.start, known.committed, known.ahead, known.passing
-    stops = planner.brake(start.state, committed.spline, known.since, aside=True)
-    flown = None if ahead is None else ahead.along(stops.splines, start.takeover)
-    held = [(stops, flown)] if passing is None else _kept(stops, flown, passing, start.takeover)
+    stops, flown, held = _tried(planner, known, start.state)
     found = _clear(held)
+    if ahead is not None and not _is_followed(found):
+        again = _clear(_tried(planner, known, ahead.at(start.takeover))[2])
+        if again is not None and _is_followed(again):
+            return status, chosen_from(again[0], again[2], np.nan)._replace(anew=True)
     if found is not None:
         stops, flown, best = found
         kept = flown is not None and _stops_as_well(planner, known, float(flown.astray[best]))
@@ -46,13 +55,26 @@ def stop_for(planner: Planner, known: Known, status: PlanStatus) -> Outcome:
     return PlanStatus.BLOCKED, chosen_from(stops, best, np.nan) if softer else None
 
 
-def _clear(held: list[_Held]) -> tuple[Stops, Rollouts | None, int] | None:
-    """The first that is clear and followed; where none is, the first that is clear."""
+def _tried(planner: Planner, known: Known, state: FlatState) -> tuple[Stops, Rollouts | None, list[_Held]]:
+    """Stops from a state at the takeover, their flights in the model, and both as ``_kept`` marks them."""
+    ahead, passing, takeover = known.ahead, known.passing, known.start.takeover
+    stops = planner.brake(state, known.committed.spline, known.since, aside=True)
+    flown = None if ahead is None else ahead.along(stops.splines, takeover)
+    return stops, flown, [(stops, flown)] if passing is None else _kept(stops, flown, passing, takeover)
+
+
+def _clear(held: list[_Held]) -> _Found | None:
+    """The first that is clear and followed; where none is, the first that is clear, but no tumble."""
     found = [(stops, flown, select_stop(stops, flown)) for stops, flown in held]
     found = [one for one in found if one[2] >= 0 and not one[0].reasons[one[2]] & np.uint32(HITS)]
     clear = [one for one in found if one[1] is None or one[1].clear[one[2]]]
-    followed = [one for one in clear if one[1] is None or one[1].followed[one[2]]]
-    return next(iter(followed + clear), None)
+    nearly = [one for one in clear if one[1] is None or one[1].astray[one[2]] <= TUMBLE]
+    return next(iter([one for one in clear if _is_followed(one)] + nearly), None)
+
+
+def _is_followed(found: _Found | None) -> bool:
+    """Whether the model, where there is one, follows it."""
+    return found is not None and (found[1] is None or bool(found[1].followed[found[2]]))
 
 
 def _farthest(stops: Stops, flown: Rollouts | None, held: Stops, nearest: Rollouts | None) -> int:

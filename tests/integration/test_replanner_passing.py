@@ -194,6 +194,9 @@ class Model(Rollout):
         followed = np.full(count, True) if alone or self._followed is None else np.arange(count) == self._followed
         return Rollouts(positions=positions, clear=np.full(count, True), followed=followed, **same)
 
+    def after(self, references):
+        return FlatState(derivatives=references.derivatives[-1], yaw=references.yaw[-1])
+
 
 @pytest.mark.parametrize(("place", "status"), [(-0.5, PlanStatus.BRAKE), (0.5, PlanStatus.BLOCKED)])
 def test_stops_are_clear_where_the_vehicle_comes_along_them(planner, place, status):

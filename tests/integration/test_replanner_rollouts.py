@@ -11,11 +11,12 @@ from jaxplan.prediction.observations import first_observation
 from jaxplan.records import replace
 from jaxplan.replanner import Measured, Replanner
 from jaxplan.replanner.ahead import look_ahead
-from jaxplan.spline import hover
+from jaxplan.spline import FlatState, hover
 from jaxplan.status import PlanStatus, Reason
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import load_world
 from oracles.planner_cases import CONFIG, GOAL, START, nowhere
+from tolerances import tolerance
 
 SEEN = first_observation(0.0, START)
 
@@ -49,9 +50,14 @@ class Sceptic(Rollout):
     def along(self, references, since=0):
         clear, followed = self._answers.pop() if self._answers else self._others
         count = len(references.yaw)
-        same = dict.fromkeys(("clearance", "error", "twist"), np.full(count, 0.5))
+        same = dict.fromkeys(("clearance", "error", "twist"), np.full(count, self.error))
         masks = {"clear": np.full(count, clear), "followed": np.full(count, followed)}
         return Rollouts(positions=np.zeros((count, 1, 3)), **masks, **same)
+
+    error = 0.5
+
+    def after(self, references):
+        return FlatState(derivatives=references.derivatives[-1], yaw=references.yaw[-1])
 
 
 def believing(planner, committed, others):
@@ -83,6 +89,45 @@ def test_the_vehicle_stops_where_the_model_hits_something_along_what_is_committe
     replanner.planner = believing(planner, HITS, FINE)
     gone = Replanner(replanner.planner, nowhere, replanner.committed)
     assert gone.step(0.8, SEEN, on(replanner, 0.8)).status is PlanStatus.BRAKE
+
+
+class Lost(Sceptic):
+    """One that is lost along all plans."""
+
+    error = 2.0
+
+
+@pytest.mark.parametrize(("kind", "status"), [(Sceptic, PlanStatus.BRAKE), (Lost, PlanStatus.BLOCKED)])
+def test_a_stop_along_which_the_vehicle_is_lost_is_none(planner, kind, status):
+    """Where one is nearly followed it is taken."""
+    replanner = Replanner(planner._replace(roll_out=lambda *_: kind(HITS, ASTRAY)), nowhere, hover(START))
+    assert replanner.step(0.0, SEEN, on(replanner, 0.0)).status is status
+
+
+class Beside(Sceptic):
+    """A vehicle that will be 0.3 m beside its reference, turned, and follows what begins there."""
+
+    place, heading = START + np.array([0.3, 0.0, 0.0]), np.array([0.4, 0.0, 0.0])
+
+    def along(self, references, since=0):
+        found = super().along(references, since)
+        begun = np.linalg.norm(references.derivatives[:, since, 0] - self.place, axis=1)
+        return replace(found, followed=found.followed | (begun < 0.01))
+
+    def after(self, references):
+        derivatives = np.concatenate([self.place[None], np.zeros((4, 3))])
+        return FlatState(derivatives=derivatives, yaw=self.heading)
+
+
+def test_where_no_stop_is_followed_one_begins_where_the_vehicle_will_be(planner):
+    replanner = Replanner(planner._replace(roll_out=lambda *_: Beside(HITS, ASTRAY)), nowhere, hover(START))
+    cycle = replanner.step(0.0, SEEN, on(replanner, 0.0))
+    assert cycle.status is PlanStatus.BRAKE
+    assert replanner.committed.from_measured
+    assert (cycle.jump == 0.0).all(), "it begins as the vehicle flies"
+    begun = replanner.committed.spline.state(0.0)
+    np.testing.assert_allclose(begun.pos, Beside.place, **tolerance("formula"))
+    assert begun.yaw[0] == pytest.approx(0.4)
 
 
 def test_plans_are_flown_without_compiling_and_followed_from_where_the_vehicle_should_be(planner):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxplan.replanner.measured import heading_near, turn_from
+from jaxplan.vehicle.heading import heading_near, turn_from
 from tolerances import relative
 
 

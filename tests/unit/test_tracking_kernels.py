@@ -7,11 +7,13 @@ import pytest
 from jaxplan.records import replace
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.tracking.kernels.craft import craft_of
-from jaxplan.tracking.kernels.flight import fly, on_reference
+from jaxplan.tracking.kernels.flight import fly, on_reference, reference_of
 from jaxplan.tracking.kernels.sampling import references
+from jaxplan.tracking.kernels.step import QUAT
 from jaxplan.tracking.plant import PlantState
 from jaxplan.tracking.rates import CONTROL_RATE
 from jaxplan.tracking.rollout import build_plant
+from jaxplan.vehicle.heading import body_axes
 from jaxplan.vehicle.load import load_vehicle
 from oracles.layouts import LAYOUTS
 from tolerances import assert_close
@@ -61,6 +63,22 @@ def test_it_flies_as_the_plant_does(name):
         assert off < 1e-5 * (1.0 + size**2), "float32 against float64, more where it is on its limits"
         assert found.error[0] == pytest.approx(float(np.max(log.position_error)), abs=1e-4 * (1.0 + size**2))
         assert found.twist[0] == pytest.approx(float(np.max(log.twist_error)), abs=1e-4 * (1.0 + size**2))
+
+
+@pytest.mark.parametrize("name", ["mfrl", "x500", "kite"])
+def test_a_vehicle_on_a_reference_is_on_that_reference(name):
+    """But for how its thrust grows, and for snap and turning, which are taken to be 0."""
+    craft, flight = craft_of(vehicle_called(name)), reference(3, 2.0)
+    for instant in (0, 70, 200):
+        wanted, yaw = flight.derivatives[instant], flight.yaw[instant]
+        state = on_reference(craft, wanted, yaw)
+        found, heading = reference_of(craft, state, float(yaw[0]) + 2.0 * np.pi)
+        scale = np.abs(wanted).max()
+        assert_close(found[:3] / scale, wanted[:3] / scale, "formula")
+        assert_close(heading, [yaw[0] + 2.0 * np.pi, 0.0, 0.0], "formula")
+        up = body_axes(state[QUAT : QUAT + 4])[2]
+        assert_close(np.cross(up, found[3] - wanted[3]) / scale, np.zeros(3), "formula")
+        assert (found[4] == 0.0).all()
 
 
 def test_a_flight_in_two_parts_is_one_flight():

@@ -28,6 +28,7 @@ from jaxplan.tracking.kernels.step import (
     vector,
 )
 from jaxplan.tracking.rates import CONTROL_RATE, PHYSICS_RATE
+from jaxplan.vehicle.heading import body_axes, heading_near
 
 _SUBSTEPS = PHYSICS_RATE // CONTROL_RATE
 _DT = 1.0 / PHYSICS_RATE
@@ -51,6 +52,25 @@ def on_reference(craft: Craft, derivatives: Float[np.ndarray, "5 3"], yaw: Float
     state = np.empty(SIZE)
     _compiled_reset()(craft, np.ascontiguousarray(derivatives, float), np.ascontiguousarray(yaw, float), state)
     return state
+
+
+def reference_of(
+    craft: Craft, state: Float[np.ndarray, "s"], yaw: float
+) -> tuple[Float[np.ndarray, "5 3"], Float[np.ndarray, "3"]]:
+    """The reference that a vehicle is on: derivatives to jerk, and its heading, unwrapped to near ``yaw`` [rad].
+
+    The rotors are taken to keep their thrust, and nothing is said of the snap and of how the heading turns: all 0.
+    """
+    velocity, quat, rates = state[VEL : VEL + 3], state[QUAT : QUAT + 4], state[RATES : RATES + 3]
+    up, speed = body_axes(quat)[2], float(np.linalg.norm(velocity))
+    lift = craft.thrust_coefficient * float(np.sum(state[SPEEDS : SPEEDS + 4] ** 2)) / craft.mass
+    share = craft.drag / craft.mass
+    acceleration = lift * up - share * speed * velocity - [0.0, 0.0, craft.gravity]
+    swing = lift * np.cross(rates @ body_axes(quat), up)
+    along = float(velocity @ acceleration) / speed if speed > 0.0 else 0.0
+    jerk = swing - share * (speed * acceleration + along * velocity)
+    derivatives = np.stack([state[POS : POS + 3], velocity, acceleration, jerk, np.zeros(3)])
+    return derivatives, np.array([heading_near(quat, yaw), 0.0, 0.0])
 
 
 def fly(
