@@ -19,6 +19,7 @@ from jaxplan.prediction.predictors import PREDICTORS, build_predictor
 from jaxplan.prediction.protocol import PredictionConfig
 from jaxplan.prediction.target_model import shipped_model
 from jaxplan.replanner import Replanner
+from jaxplan.replanner.committed import CommittedPlans, hold
 from jaxplan.scenario import build_scenario
 from jaxplan.spline import hover
 from jaxplan.status import Note, PlanStatus
@@ -278,3 +279,26 @@ def test_an_episode_in_real_time_is_met_as_soon_and_no_setpoint_waits(tmp_path):
     metrics = valid_metrics(episode)
     assert metrics["real_time"]["late_plans"] == kept.status.late
     assert sum(metrics["replan_status"].values()) == pytest.approx(metrics["replans"], abs=1)
+
+
+def test_the_model_in_a_cycle_is_where_the_vehicle_will_be(scenario):
+    """After 0.4 s, along what was flown, to millimetres: each cycle's model goes on from the last one's."""
+    models = []
+
+    def noted(*measured):
+        models.append((round(scenario.departure + 0.1 * len(models), 3), scenario.planner.roll_out(*measured)))
+        return models[-1][1]
+
+    flown = interception.fly(dataclasses.replace(again(scenario), planner=scenario.planner._replace(roll_out=noted)))
+    committed = CommittedPlans(hold(flown.scenario.start))
+    for plan in flown.plans:
+        committed.add(plan)
+    off = []
+    for now, model in models:
+        times = now + np.arange(81) / CONTROL_RATE
+        if times[-1] <= flown.flight.times[-1]:
+            last = np.searchsorted(flown.flight.times, times[-1] - 1e-6)
+            off.append(np.linalg.norm(model.after(committed.reference(times)).pos - flown.flight.position[last]))
+    assert len(off) >= 5
+    assert np.median(off) < 0.01
+    assert max(off) < 0.02
