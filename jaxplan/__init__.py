@@ -43,6 +43,10 @@ __all__ = sorted(_HOME_OF)
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib import metadata  # takes a tenth of a second to import
+
+        return metadata.version("jaxplan")
     if name not in _HOME_OF:
         raise AttributeError(f"module 'jaxplan' has no attribute {name!r}")
     from jaxplan.versions import require_supported_jax

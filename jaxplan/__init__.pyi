@@ -40,3 +40,5 @@ from jaxplan.world.load import load_world as load_world
 from jaxplan.world.obstacles import World as World
 from jaxplan.world.update import update_world as update_world
 from jaxplan.world.update import with_spare_boxes as with_spare_boxes
+
+__version__: str

@@ -14,6 +14,7 @@ from typing import NoReturn
 
 from cyclopts import App, CycloptsError
 
+import jaxplan
 from jaxplan.cli.bench import bench
 from jaxplan.cli.cache import cache
 from jaxplan.cli.experiment import experiment
@@ -47,9 +48,7 @@ All:    jaxplan --help, jaxplan COMMAND --help"""
 
 
 def _version() -> str:
-    from importlib import metadata  # takes a tenth of a second to import
-
-    return metadata.version("jaxplan")
+    return jaxplan.__version__
 
 
 app = App(

@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -52,6 +53,11 @@ PUBLIC = [
     "update_world",
     "with_spare_boxes",
 ]
+
+
+def test_the_version_is_that_of_the_project() -> None:
+    project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text())["project"]
+    assert jaxplan.__version__ == project["version"]
 
 
 def test_the_list_is_this_one() -> None:
