@@ -38,7 +38,6 @@ from jaxplan.planner.records import (
     Planner,
     PlannerConfig,
     Plans,
-    RollOut,
     Update,
     Validate,
     Warmup,
@@ -46,7 +45,7 @@ from jaxplan.planner.records import (
 )
 from jaxplan.planner.refined import Refine
 from jaxplan.planner.refinement import refine
-from jaxplan.planner.rollouts import Rollout, build_flyer
+from jaxplan.planner.rollouts import RollOut, Rollout, build_flyer
 from jaxplan.planner.rounds import least_promise, most_rounds, outrank_beyond, until_one_passes
 from jaxplan.planner.stations import compile_stations
 from jaxplan.planner.table import outrank, reject, rescored, search, table_of

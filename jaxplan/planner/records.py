@@ -27,7 +27,7 @@ from jaxplan.planner.border import usual_futures
 from jaxplan.planner.capture import CaptureConfig, Prospect, prospect_of
 from jaxplan.planner.fallbacks import Approaches, Corrections, Stops
 from jaxplan.planner.refined import Refine, RefinementConfig
-from jaxplan.planner.rollouts import Rollout, RolloutConfig
+from jaxplan.planner.rollouts import RollOut, RolloutConfig
 from jaxplan.planner.timer import Timer
 from jaxplan.planner.validator import ValidatorConfig, Verdict
 from jaxplan.prediction.candidates import Candidates
@@ -270,26 +270,6 @@ class Brake(Protocol):
         """As ``PlanBatch``; some stops go along a plan from ``since`` [s of its own time] on, where there is one.
 
         With ``aside`` a slow vehicle also steps aside, in all directions.
-        """
-
-
-class RollOut(Protocol):
-    """The model of the vehicle in the state that the vehicle is in now, to fly plans with before they are committed."""
-
-    def __call__(
-        self,
-        flown: FlatState,
-        position: Float[np.ndarray, "3"],
-        velocity: Float[np.ndarray, "3"],
-        acceleration: Float[np.ndarray, "3"] | None = None,
-        attitude: Float[np.ndarray, "4"] | None = None,
-        before: Rollout | None = None,
-    ) -> Rollout | None:
-        """None where the configuration has no rollouts; compiles nothing.
-
-        ``flown`` are the references at ``CONTROL_RATE``, both ends included, since ``before``, the model as it was
-        then, or of the last ``RolloutConfig.seconds``, or now's alone; ``position`` [m], ``velocity`` [m/s] and, where
-        they are known, ``acceleration`` [m/s^2] and ``attitude`` (w x y z) are measured.
         """
 
 

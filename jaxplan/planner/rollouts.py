@@ -8,7 +8,7 @@ cycle, is put where the vehicle is measured, and turned as it is, and goes on fr
 
 import dataclasses
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -191,6 +191,26 @@ class Rollout:
         state = fly(self._flyer.craft, self._state, rows[None], yaw[None]).state[0]
         derivatives, turning = reference_of(self._flyer.craft, state, float(yaw[-1, 0]))
         return FlatState(derivatives=derivatives, yaw=turning)
+
+
+class RollOut(Protocol):
+    """The model of the vehicle in the state that the vehicle is in now, to fly plans with before they are committed."""
+
+    def __call__(
+        self,
+        flown: FlatState,
+        position: Float[np.ndarray, "3"],
+        velocity: Float[np.ndarray, "3"],
+        acceleration: Float[np.ndarray, "3"] | None = None,
+        attitude: Float[np.ndarray, "4"] | None = None,
+        before: Rollout | None = None,
+    ) -> Rollout | None:
+        """None where the configuration has no rollouts; compiles nothing.
+
+        ``flown`` are the references at ``CONTROL_RATE``, both ends included, since ``before``, the model as it was
+        then, or of the last ``RolloutConfig.seconds``, or now's alone; ``position`` [m], ``velocity`` [m/s] and, where
+        they are known, ``acceleration`` [m/s^2] and ``attitude`` (w x y z) are measured.
+        """
 
 
 def _come_there(

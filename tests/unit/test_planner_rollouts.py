@@ -214,5 +214,5 @@ def test_it_goes_on_from_the_model_before(flyer, room):
     anew = Rollout(flyer, room, float(VEHICLE.radius), hover, *measured)
     whole = pushed.along(both(ahead)).positions[0, steps // LOOKED_AT :]
     found, other = (model.along(both(rest)).positions[0, : len(whole)] for model in (going_on, anew))
-    np.testing.assert_allclose(found, whole[: len(found)], atol=1e-9)
+    assert_close(found, whole[: len(found)], "formula")
     assert np.abs(other - whole[: len(other)]).max() > 0.01
