@@ -52,6 +52,7 @@ def stop_for(planner: Planner, known: Known, status: PlanStatus) -> Outcome:
         if passing is not None:
             farther = min(farther, passing.nearest, float(passing.flown(ahead.committed)[0]))
         softer = best >= 0 and bool(nearest.clearance[best] > farther + FARTHER)
+        softer = softer and bool(nearest.astray[best] <= max(TUMBLE, float(ahead.committed.astray[0])))
     return PlanStatus.BLOCKED, chosen_from(stops, best, np.nan) if softer else None
 
 
@@ -80,10 +81,11 @@ def _is_followed(found: _Found | None) -> bool:
 def _farthest(stops: Stops, flown: Rollouts | None, held: Stops, nearest: Rollouts | None) -> int:
     """Where all are hit: what ``select_stop`` takes, but what is followed where that is hit by what moves alone."""
     if flown is not None and nearest is not None and nearest is not flown:
-        unsafe = np.where(flown.clear & flown.followed, np.uint32(0), np.uint32(HITS))
-        best = select(nearest.clearance, (stops.reasons & np.uint32(HITS)) | unsafe)
-        if best >= 0:
-            return best
+        for safe in (flown.clear & flown.followed, flown.clear & (flown.astray <= TUMBLE)):
+            unsafe = np.where(safe, np.uint32(0), np.uint32(HITS))
+            best = select(nearest.clearance, (stops.reasons & np.uint32(HITS)) | unsafe)
+            if best >= 0:
+                return best
     return select_stop(held, nearest)
 
 

@@ -104,6 +104,21 @@ def test_a_stop_along_which_the_vehicle_is_lost_is_none(planner, kind, status):
     assert replanner.step(0.0, SEEN, on(replanner, 0.0)).status is status
 
 
+class Tumbling(Sceptic):
+    """One that stays far away along stops, since it tumbles; along what is committed it comes too near."""
+
+    def along(self, references, since=0):
+        committed, found = bool(self._answers), super().along(references, since)
+        astray = np.zeros_like(found.error) if committed else np.full_like(found.error, 2.0)
+        return replace(found, error=astray, clearance=found.clearance + astray)
+
+
+def test_what_is_committed_is_flown_on_rather_than_a_tumble(planner):
+    replanner = Replanner(planner._replace(roll_out=lambda *_: Tumbling(HITS, HITS)), nowhere, hover(START))
+    assert replanner.step(0.0, SEEN, on(replanner, 0.0)).status is PlanStatus.BLOCKED
+    assert len(replanner.plans) == 1
+
+
 class Beside(Sceptic):
     """A vehicle that will be 0.3 m beside its reference, turned, and follows what begins there."""
 
