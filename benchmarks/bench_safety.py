@@ -59,7 +59,7 @@ class _Timed(Rollout):
     """A model whose flights are timed."""
 
     def __init__(self, model: Rollout, watch: _Watch) -> None:
-        vars(self).update(vars(model))
+        vars(self).update(vars(model))  # the next cycle's model goes on from this one
         self._model, self._watch = model, watch
 
     @property

@@ -61,7 +61,7 @@ class Measured(NamedTuple):
     acceleration: Float[np.ndarray, "3"] | None = None
     """[m/s^2]; None: the reference's."""
     attitude: Float[np.ndarray, "4"] | None = None
-    """Unit quaternion w x y z, body FLU to world; None: the reference's."""
+    """Unit quaternion w x y z, body FLU to world; None: the reference's, or in the model of the vehicle its own."""
 
 
 class CommittedPlan(NamedTuple):

@@ -15,7 +15,6 @@ STOPPING = (PlanStatus.BRAKE, PlanStatus.RECOVER, PlanStatus.BLOCKED)
 FARTHER = 0.02
 """m; how much farther from obstacles the model must stay along a stop than along a committed plan that is clear itself
 (arbitrary)."""
-
 TUMBLE = 0.8
 """m; a stop that the model is so far ``astray`` of is none: the vehicle would be lost (docs/decisions/0060)."""
 
@@ -79,7 +78,7 @@ def _is_followed(found: _Found | None) -> bool:
 
 
 def _farthest(stops: Stops, flown: Rollouts | None, held: Stops, nearest: Rollouts | None) -> int:
-    """Where all are hit: what ``select_stop`` takes, but what is followed where that is hit by what moves alone."""
+    """Where all are hit: what ``select_stop`` takes; if only what moves hits, what is followed, or else no tumble."""
     if flown is not None and nearest is not None and nearest is not flown:
         for safe in (flown.clear & flown.followed, flown.clear & (flown.astray <= TUMBLE)):
             unsafe = np.where(safe, np.uint32(0), np.uint32(HITS))
