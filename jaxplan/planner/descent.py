@@ -9,7 +9,7 @@ from jaxtyping import Float
 from jaxplan.arrays import AnyArray
 from jaxplan.optimizer.interior_point import DescentConfig
 from jaxplan.optimizer.kernels.case import Case, make_tables, mixer_of
-from jaxplan.optimizer.kernels.descent import descend
+from jaxplan.optimizer.kernels.descent import Patience, descend
 from jaxplan.optimizer.problem import Limits, TargetTable
 from jaxplan.planner.refined import RefinementConfig
 from jaxplan.planner.validator import Room
@@ -21,6 +21,8 @@ BODY_SAMPLES, PLACE_SAMPLES = 10, 28
 """Instants of a segment at which the descent looks at the body and at obstacles; the last look is at all of it."""
 MAX_TILT = 78.5
 """Of the thrust from the vertical [degrees], as of the offline reference."""
+PATIENCE = Patience(steps=4, least=-0.1)
+"""Hardly a descent that violates its margins so much after so many steps comes to a plan (docs/decisions/0061)."""
 
 
 class Descended(NamedTuple):
@@ -83,7 +85,7 @@ def build_descent(config: RefinementConfig, vehicle: Vehicle) -> Descend:
             turning=min(config.max_body_rate, config.max_lag / craft.lag),
             tables=tables,
         )
-        found = descend(case, variables, descent)
+        found = descend(case, variables, descent, PATIENCE)
         heading = np.zeros((len(found.durations), 6))
         heading[:, 0] = yaw
         spline = PiecewisePolynomial(durations=found.durations, position=found.position, yaw=heading)

@@ -11,7 +11,7 @@ from jaxplan.native import entry_point
 from jaxplan.optimizer.interior_point import DescentConfig, _merit
 from jaxplan.optimizer.interior_point import descend as batched_descend
 from jaxplan.optimizer.kernels.case import Case, make_tables, mixer_of
-from jaxplan.optimizer.kernels.descent import descend, solve
+from jaxplan.optimizer.kernels.descent import Patience, descend, solve
 from jaxplan.optimizer.kernels.margins import look, make_work
 from jaxplan.optimizer.kernels.newton import set_up
 from jaxplan.optimizer.margins import linearise, values
@@ -195,3 +195,16 @@ def test_starts_that_are_not_finite_are_not_taken_and_spoil_nothing(x64):
     assert np.array_equal(descend(case, np.stack([bad, good]), config).x, alone.x)
     assert np.array_equal(descend(case, np.stack([good, bad]), config).x, alone.x)
     assert not descend(case, bad[None], config).least >= -1.0
+
+
+def test_a_descent_that_violates_its_margins_for_too_long_is_given_up(x64):
+    case = case_of(task_of(load_vehicle()), load_vehicle())
+    starts, config = a_point(6)[None], DescentConfig(iterations=12, rate=0.75)
+    through, halfway = descend(case, starts, config), descend(case, starts, replace(config, iterations=4))
+    assert halfway.least < 0.0
+    given_up = descend(case, starts, config, Patience(steps=4, least=0.0))
+    assert np.array_equal(given_up.x, halfway.x)
+    assert given_up.least == halfway.least
+    for patience in (Patience(4, halfway.least), Patience(0, -np.inf), Patience(13, np.inf)):
+        assert np.array_equal(descend(case, starts, config, patience).x, through.x)
+    assert not np.array_equal(through.x, halfway.x)

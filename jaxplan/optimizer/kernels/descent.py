@@ -33,20 +33,34 @@ class Found(NamedTuple):
     """The trajectory's ascending coefficients in normalised time [m, world]."""
 
 
-def descend(case: Case, starts: Float[np.ndarray, "k v"], config: DescentConfig) -> Found:
+class Patience(NamedTuple):
+    """When a descent is given up that still violates its margins."""
+
+    steps: int
+    """After so many,"""
+    least: float
+    """where the least margin is below this."""
+
+
+ENDLESS = Patience(0, -math.inf)
+"""It is not given up."""
+
+
+def descend(case: Case, starts: Float[np.ndarray, "k v"], config: DescentConfig, patience: Patience = ENDLESS) -> Found:
     """A local minimum near the start that costs least: its time, and the penalty for its worst violation."""
     work = make_work(starts.shape[1] // 4, case.tables)
     x = np.empty(starts.shape[1])
     pace = (float(config.barrier), float(config.last_barrier), float(config.rate))
     settings = (int(config.iterations), float(config.penalty), float(config.slack), *pace)
-    objective, least = _compiled()(case, np.array(starts, float, order="C"), settings, work, x)
+    given_up = int(patience.steps), float(patience.least)
+    objective, least = _compiled()(case, np.array(starts, float, order="C"), settings, given_up, work, x)
     return Found(x, objective, least, work.spline.durations, work.spline.coefficients)
 
 
 @runtime_checkable
 class _Descend(Protocol):
     def __call__(
-        self, case: Case, starts: np.ndarray, settings: tuple, work: Work, x: np.ndarray
+        self, case: Case, starts: np.ndarray, settings: tuple, given_up: tuple, work: Work, x: np.ndarray
     ) -> tuple[float, float]:
         """Writes ``x`` and its spline; objective and least margin."""
 
@@ -57,9 +71,9 @@ def _compiled() -> _Descend:
 
     @entry_point
     @no_type_check
-    def entry(case, starts, settings, work, x):
+    def entry(case, starts, settings, given_up, work, x):
         _ = version
-        time, least = _descend(case, starts, settings, work, x)
+        time, least = _descend(case, starts, settings, given_up, work, x)
         shape(case, x, work.spline)
         return time, least
 
@@ -87,12 +101,15 @@ def _choose(case, starts, settings, work, x):
 
 @within
 @no_type_check
-def _descend(case, starts, settings, work, x):
+def _descend(case, starts, settings, given_up, work, x):
     """The steps, in place; objective and least margin of where they end."""
     iterations, penalty, _, barrier, last_barrier, rate = settings
+    patience, hope = given_up
     time, least, slack, logs = _choose(case, starts, settings, work, x)
     damping, direction = 1e-2, work.direction
-    for _ in range(iterations):
+    for step in range(iterations):
+        if step == patience and least < hope:
+            break
         merit = time + penalty * slack - barrier * (logs + math.log(slack))
         set_up(case, x, slack, barrier, penalty, damping, work)
         solve(work.system, direction)
