@@ -39,8 +39,8 @@ class RefinementConfig:
     """The body must be able to fly a plan so many times as fast as it is flown."""
     most_excess: float = 0.1
     """Longest time [s] that any rotor may be out of its range: the optimiser looks at single instants."""
-    soonest: float = 0.5
-    """Meetings that are nearer than this [s] are left as they are."""
+    soonest: float = 0.7
+    """Meetings that are nearer than this [s] are left as they are (docs/decisions/0061)."""
     gain: float = 0.02
     """By how much a committed plan must become sooner [s] to be replaced (arbitrary)."""
 
@@ -85,6 +85,8 @@ class Refined(NamedTuple):
     """0 means usable."""
     clearance: float
     """Lower bound [m] along the whole trajectory."""
+    promise: float
+    """The soonest arrival of all that was tried [s], though the vehicle could not fly that."""
 
 
 class Refine(Protocol):

@@ -77,11 +77,12 @@ def refine(
     if asked is None:
         return None
     steps = config.iterations if iterations is None else iterations
-    descent, target, starts = replace(DESCENT, iterations=steps), asked.target(), asked.starts
+    descent, target, starts, promise = replace(DESCENT, iterations=steps), asked.target(), asked.starts, np.inf
     for caution, more in zip(CAUTION, (*CAUTION[1:], CAUTION[-1]), strict=True):
         limits = _limits(parts, state, asked.radius, config, caution)
         found = parts.descend(parts.room, state, target, limits, starts, descent)
-        refined = _judged(parts, state, asked, found, seed)
+        promise = min(promise, found.time)
+        refined = _judged(parts, state, asked, found, seed, promise)
         if steps < config.iterations or not _is_too_fast(refined, found):
             break
         starts = np.concatenate([slowed(found.variables, more / caution)[None], asked.starts])
@@ -104,7 +105,7 @@ def _asked(
     return _Asked(expected, offset, radius, np.concatenate([flatten(start).T for start in starts]))
 
 
-def _judged(parts: Parts, state: FlatState, asked: _Asked, found: Descended, seed: Seed) -> Refined:
+def _judged(parts: Parts, state: FlatState, asked: _Asked, found: Descended, seed: Seed, promise: float) -> Refined:
     """What a descent has found, with all that is against it; the model flies what is good otherwise."""
     config, time, spline = parts.config.refinement, found.time, found.spline
     assert config is not None
@@ -121,6 +122,7 @@ def _judged(parts: Parts, state: FlatState, asked: _Asked, found: Descended, see
         score=parts.config.likelihood_weight * seed.likelihood - time,
         reasons=reasons,
         clearance=verdict.clearance,
+        promise=promise,
     )
 
 

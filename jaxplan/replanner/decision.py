@@ -39,7 +39,7 @@ from jaxplan.replanner.incumbent import NO_INCUMBENT, Incumbent, incumbent_among
 from jaxplan.replanner.pace import Pace
 from jaxplan.replanner.records import ReplannerConfig
 from jaxplan.replanner.stopping import stop_for
-from jaxplan.replanner.vain import Vain
+from jaxplan.replanner.vain import TWICE, Vain
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import PlanStatus, Reason
 
@@ -124,6 +124,8 @@ class Decision:
             refined = self._refined(seed_of_plan(plans, best, candidates), float(plans.score[best]))
             return PlanStatus.INTERCEPT, refined or chosen_from(plans, best, float(plans.alpha[best]), best)
         if np.isfinite(incumbent.score):
+            if not self._vain.is_worth("refine", TWICE):
+                return PlanStatus.KEPT_COMMITTED, None
             seed = seed_of_committed(self._known.committed, incumbent, self._known.start.takeover)
             refined = self._refined(seed, incumbent.score)
             return (PlanStatus.INTERCEPT, refined) if refined else (PlanStatus.KEPT_COMMITTED, None)
@@ -207,13 +209,13 @@ class Decision:
         steps = self._steps()
         if steps == 0:
             return None
-        if not new or self._planner.config.is_fast(self._known.start.state):
-            self._vain.remember("refine", new)
         before, start = self._timer.total, self._known.start
         refined = self._planner.refine(start.state, self._known.candidates, seed, steps)
         self._timer.lap("refine")
         if refined is not None and steps is not None:
             self._pace.took(self._timer.total - before, steps)
+        if (not new or self._planner.config.is_fast(start.state)) and not self._is_promising(refined, seed):
+            self._vain.remember("refine", new)
         if refined is None or refined.reasons or not self._is_better(refined, seed, score):
             return None
         if not self._passes(refined.spline):
@@ -221,6 +223,12 @@ class Decision:
             return None
         self._vain.forget("refine")
         return chosen_refined(refined, seed)
+
+    def _is_promising(self, refined: Refined | None, seed: Seed) -> bool:
+        """Whether to try it again by eq. 9: what was found is soon enough, though it may not be flown."""
+        if refined is None or self._known.prospect is not None:
+            return False
+        return refined.promise <= seed.meeting - self._planner.config.least_gain
 
     def _status(self, refined: Chosen) -> PlanStatus:
         """What a refined plan is: an approach, where it meets the target after all that is predicted."""

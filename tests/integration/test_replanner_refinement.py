@@ -13,9 +13,9 @@ from jaxplan.records import replace
 from jaxplan.replanner import Replanner, ReplannerConfig
 from jaxplan.replanner.committed import hold
 from jaxplan.replanner.pace import FIRST, REMEMBERED, Pace
-from jaxplan.replanner.vain import WORSE, Vain
+from jaxplan.replanner.vain import TWICE, WORSE, Vain
 from jaxplan.spline import hover
-from jaxplan.status import PlanStatus
+from jaxplan.status import PlanStatus, Reason
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import load_world
 from oracles.planner_cases import START
@@ -91,6 +91,21 @@ def test_what_was_tried_in_vain_is_tried_again_only_against_another_plan_or_a_wo
     assert vain.is_worth("refine")
 
 
+def test_what_may_be_tried_twice_is_counted_anew_where_the_plan_has_become_worse():
+    vain, plan = Vain(), hold(hover(START))
+    vain.against(plan, 3.0)
+    vain.remember("refine")
+    assert vain.is_worth("refine", TWICE)
+    vain.remember("refine")
+    assert not vain.is_worth("refine", TWICE)
+    vain.against(plan, 3.0 + 1.1 * WORSE)
+    assert vain.is_worth("refine", TWICE)
+    vain.remember("refine")
+    assert vain.is_worth("refine", TWICE)
+    vain.remember("refine")
+    assert not vain.is_worth("refine", TWICE)
+
+
 def test_what_came_to_nothing_for_a_new_plan_is_not_tried_again_once_that_is_committed():
     vain, plan, other, third = Vain(), hold(hover(START)), hold(hover(START)), hold(hover(START))
     vain.against(plan, 3.0)
@@ -124,3 +139,29 @@ def test_a_committed_plan_is_refined_again_where_it_has_become_worse(planner, re
     cycles = [replanner.step(0.1 * cycle, first_observation(0.1 * cycle, START)) for cycle in range(6)]
     assert [cycle.status for cycle in cycles].count(PlanStatus.KEPT_COMMITTED) >= 3
     assert least <= len(asked) <= most
+
+
+@pytest.mark.parametrize(("promise", "tried"), [(0.0, TWICE), (1.0, 6)])
+def test_by_eq_9_a_committed_plan_is_refined_as_long_as_that_promises_enough(planner, promise, tried):
+    """Refinements that may not be flown, though they would be so much sooner [s], or that find nothing sooner."""
+    asked, found = [], []
+
+    def refine(state, candidates, seed, iterations=None):
+        asked.append(seed)
+        found.extend([] if found else [planner.refine(state, candidates, seed, iterations)])
+        return found[0]._replace(reasons=Reason.UNTRACKABLE, promise=seed.meeting - promise)
+
+    def predicted(observations, cycle):
+        times = 0.1 * np.arange(1, 31)
+        goals = START + np.array([1.6, 0.3, 0.2]) + (times + 0.1 * cycle)[:, None] * np.array([0.4, 0.1, 0.0])
+        return candidates_from(goals[0], goals, times, np.zeros(30))
+
+    watched = planner._replace(refine=refine)
+    replanner = Replanner(watched, predicted, hover(START))
+    first = replanner.step(0.0, first_observation(0.0, START))
+    assert first.status is PlanStatus.INTERCEPT
+    assert replanner.committed.arrival_time > 0.9, "long enough for six more cycles"
+    asked.clear()
+    cycles = [replanner.step(0.1 * cycle, first_observation(0.1 * cycle, START)) for cycle in range(1, 7)]
+    assert {cycle.status for cycle in cycles} == {PlanStatus.KEPT_COMMITTED}
+    assert len(asked) == tried
