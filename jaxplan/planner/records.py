@@ -94,7 +94,7 @@ class PlannerConfig:
     capture: CaptureConfig = CaptureConfig()
     path_capacity: int = 32
     """Corners of the longest taut path; longer ones are planned as prefixes."""
-    width: int = 64
+    width: int = 32
     """Candidates that the compiled stations take at a time; on a GPU, as many as there are (decision 0014)."""
     exhaustive: bool = False
     """Match and check every candidate (the paper) instead of the best ones until one passes: the same winner by

@@ -199,11 +199,11 @@ def test_both_allocations_find_what_either_finds(world, moving):
 
 def test_a_planner_shows_what_it_can_do():
     """In five lines; ``planner.plan_batch?`` shows arguments and documentation."""
-    config = PlannerConfig(heading="path", width=32)
+    config = PlannerConfig(heading="path", width=16)
     shown = build_planner(config, world=load_world("env1"), vehicle=load_vehicle(), policy=constant_speed_policy())
     lines = repr(shown).splitlines()
     assert len(lines) <= 5
-    assert lines[0] == "Planner with PlannerConfig(heading='path', width=32)"
+    assert lines[0] == "Planner with PlannerConfig(heading='path', width=16)"
     assert max(map(len, lines)) <= 120
     for name in set(shown._fields) - {"config"}:
         assert f"{name}(" in repr(shown), name
