@@ -35,6 +35,8 @@ class Descended(NamedTuple):
     variables: Float[np.ndarray, "v"]
     """What it is made of (``optimizer.problem.flatten``)."""
     spline: PiecewisePolynomial
+    steps: int
+    """Of the descent, fewer than asked for where it was given up."""
 
 
 @runtime_checkable
@@ -89,7 +91,7 @@ def build_descent(config: RefinementConfig, vehicle: Vehicle) -> Descend:
         heading = np.zeros((len(found.durations), 6))
         heading[:, 0] = yaw
         spline = PiecewisePolynomial(durations=found.durations, position=found.position, yaw=heading)
-        return Descended(found.objective, found.least, found.x, spline)
+        return Descended(found.objective, found.least, found.x, spline, found.steps)
 
     return descended
 

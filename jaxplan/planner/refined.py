@@ -87,6 +87,8 @@ class Refined(NamedTuple):
     """Lower bound [m] along the whole trajectory."""
     promise: float
     """The soonest arrival of all that was tried [s], though the vehicle could not fly that."""
+    steps: int
+    """Of the last descent."""
 
 
 class Refine(Protocol):

@@ -123,6 +123,7 @@ def _judged(parts: Parts, state: FlatState, asked: _Asked, found: Descended, see
         reasons=reasons,
         clearance=verdict.clearance,
         promise=promise,
+        steps=found.steps,
     )
 
 

@@ -213,7 +213,7 @@ class Decision:
         refined = self._planner.refine(start.state, self._known.candidates, seed, steps)
         self._timer.lap("refine")
         if refined is not None and steps is not None:
-            self._pace.took(self._timer.total - before, steps)
+            self._pace.took(self._timer.total - before, refined.steps)
         if (not new or self._planner.config.is_fast(start.state)) and not self._is_promising(refined, seed):
             self._vain.remember("refine", new)
         if refined is None or refined.reasons or not self._is_better(refined, seed, score):

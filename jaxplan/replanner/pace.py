@@ -21,5 +21,5 @@ class Pace:
         return int(max(left - SPARE * latency, 0.0) / max(*self._per_step, 1e-3))
 
     def took(self, milliseconds: float, steps: int) -> None:
-        """Remember a refinement."""
+        """Remember a refinement, the last descent of which took so many steps."""
         self._per_step.append(milliseconds / steps)

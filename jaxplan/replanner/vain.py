@@ -17,7 +17,7 @@ Attempt = Literal["approach", "stop", "refine"]
 class _Tries(NamedTuple):
     """How often in a row, and how soon the plan was expected to meet the target then [s]."""
 
-    count: int
+    number: int
     meeting: float
 
 
@@ -39,7 +39,7 @@ class Vain:
     def is_worth(self, attempt: Attempt, enough: int = 1) -> bool:
         """Whether it was tried less often than ``enough`` against this plan, or the plan has become worse since."""
         tries = self._tried.get(attempt)
-        return tries is None or tries.count < enough or self._is_worse(tries)
+        return tries is None or tries.number < enough or self._is_worse(tries)
 
     def remember(self, attempt: Attempt, new: bool = False) -> None:
         """It is tried now, in vain as far as is known: for what is committed, or for a ``new`` plan that will be."""
@@ -47,8 +47,8 @@ class Vain:
             self._new.add(attempt)
             return
         tries = self._tried.get(attempt)
-        count = 1 if tries is None or self._is_worse(tries) else tries.count + 1
-        self._tried[attempt] = _Tries(count, self._meeting)
+        number = 1 if tries is None or self._is_worse(tries) else tries.number + 1
+        self._tried[attempt] = _Tries(number, self._meeting)
 
     def forget(self, attempt: Attempt) -> None:
         """It came to a plan that will be committed, for which it may be tried again."""

@@ -205,6 +205,7 @@ def test_a_descent_that_violates_its_margins_for_too_long_is_given_up(x64):
     given_up = descend(case, starts, config, Patience(steps=4, least=0.0))
     assert np.array_equal(given_up.x, halfway.x)
     assert given_up.least == halfway.least
+    assert (given_up.steps, through.steps) == (4, 12)
     for patience in (Patience(4, halfway.least), Patience(0, -np.inf), Patience(13, np.inf)):
         assert np.array_equal(descend(case, starts, config, patience).x, through.x)
     assert not np.array_equal(through.x, halfway.x)

@@ -31,6 +31,8 @@ class Found(NamedTuple):
     """[s]"""
     position: Float[np.ndarray, "m 10 3"]
     """The trajectory's ascending coefficients in normalised time [m, world]."""
+    steps: int
+    """That were tried."""
 
 
 class Patience(NamedTuple):
@@ -53,16 +55,16 @@ def descend(case: Case, starts: Float[np.ndarray, "k v"], config: DescentConfig,
     pace = (float(config.barrier), float(config.last_barrier), float(config.rate))
     settings = (int(config.iterations), float(config.penalty), float(config.slack), *pace)
     given_up = int(patience.steps), float(patience.least)
-    objective, least = _compiled()(case, np.array(starts, float, order="C"), settings, given_up, work, x)
-    return Found(x, objective, least, work.spline.durations, work.spline.coefficients)
+    objective, least, steps = _compiled()(case, np.array(starts, float, order="C"), settings, given_up, work, x)
+    return Found(x, objective, least, work.spline.durations, work.spline.coefficients, steps)
 
 
 @runtime_checkable
 class _Descend(Protocol):
     def __call__(
         self, case: Case, starts: np.ndarray, settings: tuple, given_up: tuple, work: Work, x: np.ndarray
-    ) -> tuple[float, float]:
-        """Writes ``x`` and its spline; objective and least margin."""
+    ) -> tuple[float, float, int]:
+        """Writes ``x`` and its spline; objective, least margin and steps."""
 
 
 @functools.cache
@@ -73,9 +75,9 @@ def _compiled() -> _Descend:
     @no_type_check
     def entry(case, starts, settings, given_up, work, x):
         _ = version
-        time, least = _descend(case, starts, settings, given_up, work, x)
+        found = _descend(case, starts, settings, given_up, work, x)
         shape(case, x, work.spline)
-        return time, least
+        return found
 
     return entry  # type: ignore[no-any-return]
 
@@ -102,14 +104,14 @@ def _choose(case, starts, settings, work, x):
 @within
 @no_type_check
 def _descend(case, starts, settings, given_up, work, x):
-    """The steps, in place; objective and least margin of where they end."""
+    """The steps, in place; objective and least margin of where they end, and how many they are."""
     iterations, penalty, _, barrier, last_barrier, rate = settings
     patience, hope = given_up
     time, least, slack, logs = _choose(case, starts, settings, work, x)
     damping, direction = 1e-2, work.direction
     for step in range(iterations):
         if step == patience and least < hope:
-            break
+            return time, least, step
         merit = time + penalty * slack - barrier * (logs + math.log(slack))
         set_up(case, x, slack, barrier, penalty, damping, work)
         solve(work.system, direction)
@@ -135,7 +137,7 @@ def _descend(case, starts, settings, given_up, work, x):
         slack += share * direction[len(x)]
         barrier = max(rate * barrier, last_barrier)
         damping = max(damping / 4.0 if taken == 0 else damping if taken <= 2 else min(damping * 3.0, 1e4), 1e-8)
-    return time, least
+    return time, least, iterations
 
 
 @inner
