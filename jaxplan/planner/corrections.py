@@ -35,8 +35,8 @@ TURN_COST, CLIMB_COST, LONG_COST = 1.0 / 90.0, 1.0 / 40.0, 0.2
 """By degree, and for the gentler deceleration: in which order stops are tried (arbitrary)."""
 NEAR_COST = 10.0
 """By metre of clearance that is missing on a straight line."""
-GOALS, STOPS = 16, 2
-"""That are solved: the most promising goals, and stops behind each (32 is the width of the stations)."""
+GOALS, STOPS = 16, 4
+"""That are solved: the most promising goals, and stops behind each. Half as many are flown 0.014 s later (measured)."""
 REACTION, SHORTEST_STOP = 0.12, 0.35
 """s; in which the thrust is turned around, and what a stop takes at least."""
 STOP_REACH = 0.45
