@@ -18,6 +18,7 @@ from collections import deque
 import numpy as np
 from jaxtyping import Float
 
+from jaxplan.batching import beside
 from jaxplan.errors import InputError
 from jaxplan.planner import Fault, Planner, Timer, prospect_for
 from jaxplan.planner.timer import Clock
@@ -151,13 +152,15 @@ class Replanner:
         self._last, latency = now, self.latency
         timer = Timer(self._clock, 1e3 * PLANNED * latency if self.config.drop_late else np.inf)
         self._keep_heading(now, measured)
-        ahead = self._ahead = look_ahead(self.planner, self._committed, now, measured, self._ahead)
-        start = self._start(now, measured, ahead)
-        timer.lap("roll out")
+        # On another core, while the target is predicted.
+        flown = beside(lambda: look_ahead(self.planner, self._committed, now, measured, self._ahead))
         predicted = self._predicted(now, observations, measured)
         self._cycles += 1
-        candidates = later(predicted, start.takeover - now)
         timer.lap("predict", predicted)
+        ahead = self._ahead = flown.result()
+        start = self._start(now, measured, ahead)
+        candidates = later(predicted, start.takeover - now)
+        timer.lap("roll out")
         self._certain = not start.measured and (self._certain or self._is_clear(now, 0.0))
         prospect = prospect_for(self.planner.config, candidates)
         passing = None if self._ways is None else Passing(self._ways, self._committed, now)
