@@ -113,6 +113,19 @@ def beside(function: Callable[[], T]) -> Future[T]:
     return _pool().submit(function)
 
 
+def meanwhile(function: Callable[[], T]) -> Callable[[], T]:
+    """``function`` on another core while the caller goes on, who asks for the result by calling what is returned.
+
+    On a busy machine, where it has not begun by then, the caller does it.
+    """
+    future = beside(function)
+
+    def result() -> T:
+        return function() if future.cancel() else future.result()
+
+    return result
+
+
 @functools.cache
 def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(CORES, thread_name_prefix="jaxplan-side")

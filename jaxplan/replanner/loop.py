@@ -18,7 +18,7 @@ from collections import deque
 import numpy as np
 from jaxtyping import Float
 
-from jaxplan.batching import beside
+from jaxplan.batching import meanwhile
 from jaxplan.errors import InputError
 from jaxplan.planner import Fault, Planner, Timer, prospect_for
 from jaxplan.planner.timer import Clock
@@ -153,11 +153,11 @@ class Replanner:
         timer = Timer(self._clock, 1e3 * PLANNED * latency if self.config.drop_late else np.inf)
         self._keep_heading(now, measured)
         # On another core, while the target is predicted.
-        flown = beside(lambda: look_ahead(self.planner, self._committed, now, measured, self._ahead))
+        flown = meanwhile(lambda: look_ahead(self.planner, self._committed, now, measured, self._ahead))
         predicted = self._predicted(now, observations, measured)
         self._cycles += 1
         timer.lap("predict", predicted)
-        ahead = self._ahead = flown.result()
+        ahead = self._ahead = flown()
         start = self._start(now, measured, ahead)
         candidates = later(predicted, start.takeover - now)
         timer.lap("roll out")

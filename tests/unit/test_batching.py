@@ -9,12 +9,14 @@ import pytest
 
 from jaxplan.batching import (
     CHUNK_WIDTH,
+    CORES,
     THREAD_WIDTH,
     at_fixed_width,
     fill,
     in_chunks,
     in_threads,
     join,
+    meanwhile,
     pick,
     side_by_side,
 )
@@ -92,3 +94,27 @@ def test_side_by_side_keeps_the_order_and_passes_errors_on() -> None:
     assert side_by_side(len, []) == []
     with pytest.raises(ZeroDivisionError):
         side_by_side(lambda n: 1 // n, [1, 0, 2])
+
+
+def test_meanwhile_a_function_runs_elsewhere_and_on_a_busy_machine_here():
+    begun = threading.Event()
+
+    def elsewhere():
+        begun.set()
+        return threading.get_ident()
+
+    free = meanwhile(elsewhere)
+    assert begun.wait(10.0)
+    assert free() != threading.get_ident()
+    go, busy = threading.Event(), threading.Barrier(CORES + 1)
+    held = [meanwhile(lambda: (busy.wait(10.0), go.wait(10.0))) for _ in range(CORES)]
+    busy.wait(10.0)
+    assert meanwhile(threading.get_ident)() == threading.get_ident()
+    go.set()
+    for one in held:
+        one()
+
+
+def test_what_goes_wrong_meanwhile_is_raised_where_it_is_asked_for():
+    with pytest.raises(ZeroDivisionError):
+        meanwhile(lambda: 1 // 0)()
