@@ -4,11 +4,16 @@ Where plans are compared by capture a candidate's score is what a flight straigh
 committed plan that decides how many are tried, and whether any is.
 """
 
+import functools
+from collections.abc import Callable
+
 import numpy as np
 
+from jaxplan.batching import meanwhile
 from jaxplan.planner.parts import Allocation, Parts
-from jaxplan.planner.table import Rows, Table, bound, check, enter, knots, match, outrank
+from jaxplan.planner.table import Checked, Rows, Table, bound, check, enter, knots, match, outrank
 from jaxplan.planner.timer import Timer
+from jaxplan.precision import in_float64
 from jaxplan.spline import FlatState
 
 PORTION = 2
@@ -46,19 +51,24 @@ def until_one_passes(parts: Parts, state: FlatState, table: Table, timer: Timer,
     """Match, solve and check the best rows first, in at most so many rounds, until a round has a usable one.
 
     Waypoints are placed for no more of them than it takes to fill the next round with what may arrive in time. Once the
-    ``timer`` is up there is no further round.
+    ``timer`` is up there is no further round. Where the first came to nothing two are tried at a time, on two cores.
     """
-    width, exhaustive = parts.config.width, parts.config.exhaustive
+    width, exhaustive, asked = parts.config.width, parts.config.exhaustive, parts.tried(state)
     rows = table.usable() if exhaustive else table.best_first()
-    waiting, size, asked = rows[:0], len(rows) if exhaustive else PORTION * width, parts.tried(state)
+    waiting, size, begun = rows[:0], len(rows) if exhaustive else PORTION * width, False
     while len(rows):
         some, rows = rows[:size], rows[size:]
-        table = _bounded(parts, state, table, some, timer)
+        table, soon = _bounded(parts, state, table, some, timer), None
         waiting = np.concatenate([waiting, some[table.reasons[some] == 0]])
-        while len(waiting) >= (width if len(rows) else 1):
-            table, passed = _round(parts, state, table, waiting[:width], timer, asked)
-            asked = parts.allocations(state)
-            waiting, rounds = waiting[width:], rounds - 1
+        while len(waiting) >= (least := width if len(rows) else 1):
+            now = soon or functools.partial(_round, parts, state, table, waiting[:width], asked, timer)
+            waiting, rounds, asked = waiting[width:], rounds - 1, parts.allocations(state)
+            is_next = begun and rounds > 0 and len(waiting) >= least
+            soon = _soon(parts, state, table, waiting[:width], asked) if is_next else None
+            tried, begun = now(), True
+            timer.lap("minsnap")
+            table = functools.reduce(enter, tried, table)
+            passed = any((checked.reasons == 0).any() for checked in tried)
             if not exhaustive and (passed or timer.is_up or rounds == 0):
                 return outrank(table, np.concatenate([waiting, rows]))
     return table
@@ -73,19 +83,25 @@ def _bounded(parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Ti
     return table
 
 
+def _soon(
+    parts: Parts, state: FlatState, table: Table, rows: Rows, asked: tuple[Allocation, ...]
+) -> Callable[[], list[Checked]]:
+    """A round on another core, which counts only where the one before it comes to nothing."""
+    return meanwhile(functools.partial(in_float64(_round), parts, state, table, rows, asked, Timer()))
+
+
 def _round(
-    parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Timer, asked: tuple[Allocation, ...]
-) -> tuple[Table, bool]:
-    """Ask the time allocations in turn, each for the rows that can still win; whether one of them did."""
-    passed = False
+    parts: Parts, state: FlatState, table: Table, rows: Rows, asked: tuple[Allocation, ...], timer: Timer
+) -> list[Checked]:
+    """Ask the time allocations in turn, each for the rows that can still win."""
+    tried = []
     for allocation in asked:
         matched = match(parts, allocation, state, table, rows)
         timer.lap("policy", matched.arrival)
-        checked = check(parts, state, table, matched)
+        tried.append(check(parts, state, table, matched))
         timer.lap("minsnap")
-        table, passes = enter(table, checked), checked.reasons == 0
-        passed |= bool(passes.any())
+        passes = tried[-1].reasons == 0
         rows = rows[~passes] if parts.config.exhaustive else rows[np.cumsum(passes) == 0]
         if not len(rows):
             break
-    return table, passed
+    return tried
