@@ -32,6 +32,7 @@ SIZES: dict[str, tuple[str, ...]] = {
     "prediction": ("--repeats", "100"),
     "plant": ("--batches", "256", "--seconds", "1", "--peers", "1"),
     "planner": ("--worlds", "env1", "--counts", "400", "--cycles", "40"),
+    "cycle": ("--worlds", "env1", "--targets", "1"),
     "safety": ("--worlds", "env1", "--departures", "0.5", "--targets", "1"),
     "runtime": ("--seconds", "10", "--kills", "1"),
     "device": ("--parts", "host", "replan", "--counts", "20", "400"),

@@ -7,6 +7,7 @@ from jaxplan.versions import require_supported_jax
 
 Benchmark = Literal[
     "all",
+    "cycle",
     "device",
     "mavlink",
     "minsnap",
