@@ -19,7 +19,7 @@ import numpy as np
 from jaxplan import interception
 from jaxplan.config import InterceptConfig, Predictor
 from jaxplan.interception import Episode
-from jaxplan.scenario import Scenario, build_scenario
+from jaxplan.scenario import build_scenario
 
 from . import _harness
 
@@ -34,12 +34,10 @@ def fly(world: str, predictor: Predictor, targets: Sequence[int], repeats: int) 
     first.planner.warmup(first.start)
     interception.warm_up(first)
 
-    def scenario(target: int) -> Scenario:
-        named = dataclasses.replace(config, target=f"{world}-{target:02d}")
-        return build_scenario(named, planner=first.planner)
-
-    interception.fly(scenario(targets[0]))
-    return [[interception.fly(scenario(target)) for _ in range(repeats)] for target in targets]
+    named = [dataclasses.replace(config, target=f"{world}-{target:02d}") for target in targets]
+    scenarios = [build_scenario(one, planner=first.planner) for one in named]
+    interception.fly(scenarios[0])
+    return [[interception.fly(scenario) for _ in range(repeats)] for scenario in scenarios]
 
 
 def measure(worlds: Sequence[str], predictor: Predictor, targets: Sequence[int], repeats: int) -> list[dict[str, Any]]:
@@ -66,8 +64,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--json", type=Path, help="save the rows, with hardware, versions and commit")
     parser.add_argument("--worlds", nargs="+", default=["env1", "env2", "env3"])
     parser.add_argument("--predictors", nargs="+", default=["ground-truth", "fused"])
-    parser.add_argument("--targets", nargs="+", type=int, default=[1, 4, 7])
-    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--targets", nargs="+", type=int, default=[1, 7])
+    parser.add_argument("--repeats", type=int, default=4)
     chosen = parser.parse_args(arguments)
     rows = []
     for predictor in chosen.predictors:
