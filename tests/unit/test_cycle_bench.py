@@ -7,6 +7,7 @@ import pytest
 from benchmarks import bench_cycle
 
 
+@pytest.mark.slow
 def test_stages_add_up_to_cycles_that_are_the_same_in_every_flight(tmp_path):
     out = tmp_path / "rows.json"
     sizes = ("--worlds", "env1", "--predictors", "fused", "--targets", "1", "--repeats", "2")

@@ -33,7 +33,7 @@ def expected(count=30):
 
 @pytest.fixture(scope="module")
 def planner():
-    config = PlannerConfig(refinement=RefinementConfig())
+    config = PlannerConfig(refinement=RefinementConfig(soonest=0.5))
     found = build_planner(config, world=load_world("env1"), vehicle=load_vehicle(), policy=constant_speed_policy())
     found.warmup(hover(START))
     return found
