@@ -33,7 +33,6 @@ def fly(world: str, predictor: Predictor, targets: Sequence[int], repeats: int) 
     first = build_scenario(config)
     first.planner.warmup(first.start)
     interception.warm_up(first)
-
     named = [dataclasses.replace(config, target=f"{world}-{target:02d}") for target in targets]
     scenarios = [build_scenario(one, planner=first.planner) for one in named]
     interception.fly(scenarios[0])
