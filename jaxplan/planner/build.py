@@ -48,7 +48,7 @@ from jaxplan.planner.refinement import refine
 from jaxplan.planner.rollouts import RollOut, Rollout, build_flyer
 from jaxplan.planner.rounds import least_promise, most_rounds, outrank_beyond, until_one_passes
 from jaxplan.planner.stations import compile_stations
-from jaxplan.planner.table import outrank, reject, rescored, search, table_of
+from jaxplan.planner.table import outrank, reject, rescored, table_of
 from jaxplan.planner.timer import Timer
 from jaxplan.planner.validator import Room, Verdict, validate
 from jaxplan.planner.warmup import candidates_around, compile_all, compile_first, compile_refinement, fly_once
@@ -250,12 +250,7 @@ def plan_batch(
         table = outrank(table, np.flatnonzero(table.score <= least))
     timer.lap("reject")
     rounds = np.inf if prospect is None else most_rounds(parts, state, above)
-    table = outrank_beyond(parts, table, rounds)
-    rows = table.usable()
-    if len(rows):
-        table = search(parts, state, table, rows)
-        timer.lap("search")
-        table = until_one_passes(parts, state, table, timer, rounds)
+    table = until_one_passes(parts, state, outrank_beyond(parts, table, rounds), timer, rounds)
     plans = (table if prospect is None else rescored(table, prospect)).plans(promise)
     timer.lap("select")
     return plans

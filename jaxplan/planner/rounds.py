@@ -1,4 +1,4 @@
-"""Rounds of a replan: the most promising candidates are matched, solved and checked until one passes (host).
+"""Rounds of a replan: the best candidates get paths, and are matched, solved and checked until one passes (host).
 
 Where plans are compared by capture a candidate's score is what a flight straight to its goal promises. Beside a
 committed plan that decides how many are tried, and whether any is.
@@ -11,11 +11,13 @@ import numpy as np
 
 from jaxplan.batching import meanwhile
 from jaxplan.planner.parts import Allocation, Parts
-from jaxplan.planner.table import Checked, Rows, Table, bound, check, enter, knots, match, outrank
+from jaxplan.planner.table import Checked, Rows, Table, bound, check, enter, knots, match, outrank, search
 from jaxplan.planner.timer import Timer
 from jaxplan.precision import in_float64
 from jaxplan.spline import FlatState
 
+SEARCHED = 4
+"""Widths of candidates that paths are searched to at a time: each search settles the roads anew (measured)."""
 PORTION = 2
 """Widths of candidates that get their waypoints at a time: of about so many one width may arrive in time (measured)."""
 DOUBT = 0.25
@@ -48,17 +50,19 @@ def outrank_beyond(parts: Parts, table: Table, rounds: float) -> Table:
 
 
 def until_one_passes(parts: Parts, state: FlatState, table: Table, timer: Timer, rounds: float) -> Table:
-    """Match, solve and check the best rows first, in at most so many rounds, until a round has a usable one.
+    """Search, match, solve and check the best rows first, in at most so many rounds, until a round has a usable one.
 
-    Waypoints are placed for no more of them than it takes to fill the next round with what may arrive in time. Once the
-    ``timer`` is up there is no further round. Where the first came to nothing two are tried at a time, on two cores.
+    Paths are searched and waypoints placed for few more of them than it takes to fill the next round with what may
+    arrive in time. Once the ``timer`` is up there is no further round. Where the first came to nothing two are tried
+    at a time, on two cores.
     """
     width, exhaustive, asked = parts.config.width, parts.config.exhaustive, parts.tried(state)
     rows = table.usable() if exhaustive else table.best_first()
     waiting, size, begun = rows[:0], len(rows) if exhaustive else PORTION * width, False
     while len(rows):
+        table, soon = _searched(parts, state, table, rows, size, timer), None
         some, rows = rows[:size], rows[size:]
-        table, soon = _bounded(parts, state, table, some, timer), None
+        table = _bounded(parts, state, table, some[table.reasons[some] == 0], timer)
         waiting = np.concatenate([waiting, some[table.reasons[some] == 0]])
         while len(waiting) >= (least := width if len(rows) else 1):
             now = soon or functools.partial(_round, parts, state, table, waiting[:width], asked, timer)
@@ -74,8 +78,19 @@ def until_one_passes(parts: Parts, state: FlatState, table: Table, timer: Timer,
     return table
 
 
+def _searched(parts: Parts, state: FlatState, table: Table, rows: Rows, size: int, timer: Timer) -> Table:
+    """Paths to the first ``size`` of the rows, and with them to those behind them; where they have none yet."""
+    if (table.path[rows[:size]] >= 0).any():
+        return table
+    table = search(parts, state, table, np.sort(rows[: max(size, SEARCHED * parts.config.width)]))
+    timer.lap("search")
+    return table
+
+
 def _bounded(parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Timer) -> Table:
     """Waypoints for ``rows``, and which of them may be reached in time."""
+    if not len(rows):
+        return table
     table = knots(parts, table, rows)
     timer.lap("knots")
     table = bound(parts, state, table, rows)

@@ -71,11 +71,11 @@ class Table(NamedTuple):
     route: Int[np.ndarray, "k"]
     """Column of ``routes``."""
     path: Int[np.ndarray, "k"]
-    """Row of ``paths``, that of the shortest one."""
+    """Row of ``paths``, that of the shortest one; -1 where those do not lead."""
     trajectory: Int[np.ndarray, "k"]
     """Column of all ``trajectories``, one after the other."""
     paths: Paths | None = None
-    """To the goals of all rows that were searched: the shortest ones, then further ones in the same order."""
+    """To the goals of the rows that were searched last: the shortest ones, then further ones in the same order."""
     routes: Routes | None = None
     """Along those paths of which waypoints were wanted so far."""
     trajectories: tuple[tuple[Trajectories, int], ...] = ()
@@ -152,7 +152,8 @@ def search(parts: Parts, state: FlatState, table: Table, rows: Rows) -> Table:
     target = np.asarray(table.candidates.target)
     paths = parts.search(state, table.goals(rows), target, parts.config.alternatives)
     found = paths.reasons[: len(rows)]
-    return table.against(rows, found)._replace(paths=paths, path=_numbered(table.path, rows, 0))
+    path = _numbered(np.full_like(table.path, -1), rows, 0)
+    return table.against(rows, found)._replace(paths=paths, path=path)
 
 
 def knots(parts: Parts, table: Table, rows: Rows) -> Table:

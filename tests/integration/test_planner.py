@@ -12,8 +12,9 @@ import pytest
 from jaxplan.compilation import compilations
 from jaxplan.errors import InputError
 from jaxplan.knots import KnotConfig
-from jaxplan.planner import PlannerConfig, Timer, build_planner, select, select_approach
+from jaxplan.planner import PlannerConfig, Timer, build_planner, rounds, select, select_approach
 from jaxplan.planner.rounds import PROMISING
+from jaxplan.planner.table import search as table_search
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
 from jaxplan.prediction.futures import Futures
@@ -99,7 +100,7 @@ def test_taking_the_best_first_finds_the_winner_of_an_exhaustive_evaluation(worl
         build_planner(replace_config(exhaustive), world=world, vehicle=vehicle, policy=policy)
         for exhaustive in (False, True)
     )
-    rounds, winners = set(), 0
+    tried, winners = set(), 0
     for seed in range(6):
         given = candidates(90, seed)
         times = np.asarray(given.arrival_times) * (0.25 if seed % 2 else 1.0)
@@ -107,7 +108,7 @@ def test_taking_the_best_first_finds_the_winner_of_an_exhaustive_evaluation(worl
         quick, whole = ordered.plan_batch(moving, given), exhaustive.plan_batch(moving, given)
         assert select(quick) == select(whole)
         evaluated = quick.trajectory >= 0
-        rounds.add(int(evaluated.sum()))
+        tried.add(int(evaluated.sum()))
         winners += select(whole) >= 0
         skipped = (quick.reasons & int(Reason.OUTRANKED)) > 0
         assert not (evaluated & skipped).any()
@@ -117,7 +118,7 @@ def test_taking_the_best_first_finds_the_winner_of_an_exhaustive_evaluation(worl
             best, same = quick.spline(select(quick)), whole.spline(select(whole))
             np.testing.assert_allclose(best.position, same.position, **tolerance("formula"))
     assert winners >= 4
-    assert max(rounds) > 0
+    assert max(tried) > 0
 
 
 def test_what_cannot_beat_a_committed_plan_is_left_out(planner, moving):
@@ -145,10 +146,32 @@ def test_once_the_time_is_up_no_more_candidates_are_tried(world, moving):
     assert hasty.score[tried].min() >= hasty.score[wanted & ~tried].max()
 
 
-@pytest.mark.parametrize(("captures_in", "fast_from", "rounds"), [(0.2, 9.0, 1), (0.8, 9.0, 2), (0.8, 0.0, 1)])
-def test_the_sooner_the_committed_plan_captures_the_fewer_others_are_tried(
-    world, moving, captures_in, fast_from, rounds
-):
+def test_no_more_paths_are_searched_than_it_takes(planner, moving, monkeypatch):
+    """To the goals of the best; to others only where too few of those can be reached in time; to none twice."""
+    searched = []
+
+    def search(parts, state, table, rows):
+        searched.append(rows)
+        return table_search(parts, state, table, rows)
+
+    monkeypatch.setattr(rounds, "search", search)
+    given = candidates(200)
+    plans = planner.plan_batch(moving, given)
+    assert select(plans) >= 0
+    assert [len(rows) for rows in searched] == [rounds.SEARCHED * CONFIG.width]
+
+    searched.clear()
+    monkeypatch.setattr(rounds, "SEARCHED", 1)
+    given = candidates(400)
+    plans = planner.plan_batch(moving, replace(given, arrival_times=0.05 * np.asarray(given.arrival_times)))
+    first, second = searched
+    assert len(first) == rounds.PORTION * CONFIG.width
+    assert not np.isin(first, second).any()
+    assert plans.score[first].min() >= plans.score[second].max()
+
+
+@pytest.mark.parametrize(("captures_in", "fast_from", "most"), [(0.2, 9.0, 1), (0.8, 9.0, 2), (0.8, 0.0, 1)])
+def test_the_sooner_the_committed_plan_captures_the_fewer_others_are_tried(world, moving, captures_in, fast_from, most):
     """Where plans are compared by capture, and none passes; the best ones are those that are tried, fewer in flight."""
     config = dataclasses.replace(
         CONFIG, checks=CheckConfig(max_deviation=1e-9), allocate="policy", policy_speed=fast_from
@@ -159,11 +182,11 @@ def test_the_sooner_the_committed_plan_captures_the_fewer_others_are_tried(
     given = replace(candidates(90), futures=still)
     beside, alone = (strict.plan_batch(moving, given, None, above) for above in (-captures_in, -np.inf))
     tried, wanted = beside.trajectory >= 0, alone.trajectory >= 0
-    assert tried.sum() == rounds * config.width < wanted.sum()
+    assert tried.sum() == most * config.width < wanted.sum()
     np.testing.assert_array_equal(beside.reasons[tried], alone.reasons[tried])
     assert beside.score[tried].min() >= beside.score[wanted & ~tried].max()
     by_eq_9 = strict.plan_batch(moving, candidates(90), None, -100.0)
-    assert (by_eq_9.trajectory >= 0).sum() > rounds * config.width
+    assert (by_eq_9.trajectory >= 0).sum() > most * config.width
 
 
 @pytest.mark.parametrize(("fast_from", "gain"), [(9.0, CONFIG.capture.gain), (0.0, PROMISING)])

@@ -10,7 +10,7 @@ import pytest
 from jaxplan.errors import InputError
 from jaxplan.precision import in_float64
 from jaxplan.search import routes as routes_module
-from jaxplan.search.kernels import follow, places, roads, sight
+from jaxplan.search.kernels import follow, places, roads, sight, ways
 from jaxplan.search.lattice import Lattices, SearchConfig, build_lattices
 from jaxplan.search.routes import find_routes, warmup
 from jaxplan.status import Note, Reason
@@ -320,3 +320,17 @@ def test_ways_keep_as_far_from_the_faces_of_a_room_as_asked() -> None:
     apart = np.minimum(ways[0.4].points[0] - bounds[0], bounds[1] - ways[0.4].points[0]).min()
     assert apart >= 0.4 - 1e-6
     np.testing.assert_array_equal(ways[1.0].points, ways[0.0].points, err_msg="2 m are too low for 1 m on both sides")
+
+
+def test_goals_shared_by_two_cores_have_paths_as_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    """But for goals that shared an order of places with one in the other half: up to 1 % (``ways.GAIN``)."""
+    world = load_world("env3")
+    lattices, goals = build_lattices(world), free_points(world, 160, 11)
+    start = free_points(world, 1, 12)[0]
+    shared = find_routes(lattices, world, start, goals, 1.0)
+    monkeypatch.setattr(follow, "SHARED", len(goals) + 1)
+    whole = find_routes(lattices, world, start, goals, 1.0)
+    np.testing.assert_array_equal(shared.reasons, whole.reasons)
+    assert (whole.count > 2).sum() >= 40
+    assert np.abs(shared.length / whole.length - 1.0).max() <= 1.0 - ways.GAIN
+    assert (shared.length == whole.length).mean() > 0.8
