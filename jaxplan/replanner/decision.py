@@ -82,9 +82,17 @@ class Decision:
         self.refused = 0
         """Plans that passed every check but the last look."""
 
+    @property
+    def above(self) -> float:
+        """What candidates must be worth more than [s] to be looked at; inf where they were by capture, in vain."""
+        in_vain = self._known.prospect is not None and not self._vain.is_worth("plan")
+        return np.inf if in_vain else self.incumbent.score
+
     def among(self, plans: Plans) -> Outcome:
         """The choice among a cycle's plans and what there is beside them."""
         prospect = self._known.prospect
+        if (plans.trajectory >= 0).any():
+            self._vain.remember("plan")
         return self._by_score(plans) if prospect is None else self._by_capture(plans, prospect)
 
     def stop(self, status: PlanStatus) -> Outcome:

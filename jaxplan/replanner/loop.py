@@ -170,7 +170,7 @@ class Replanner:
         known = Known(start, candidates, prospect, self.committed, certain, ahead, passing, lag)
         decision = Decision(self.planner, self.config, self._memory, latency, known, timer)
         lost = start.deviation > self.config.stop_beyond
-        above = np.inf if lost else decision.incumbent.score
+        above = np.inf if lost else decision.above
         plans = self.planner.plan_batch(start.state, candidates, timer, above)
         status, chosen = decision.governed(decision.stop(PlanStatus.RECOVER) if lost else decision.among(plans))
         timer.lap("select")

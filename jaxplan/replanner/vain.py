@@ -11,7 +11,7 @@ WORSE = 0.05
 TWICE = 2
 """Refinements of a committed plan by eq. 9: the second one still comes to something (decision 61)."""
 
-Attempt = Literal["approach", "stop", "refine"]
+Attempt = Literal["plan", "approach", "stop", "refine"]
 
 
 class _Tries(NamedTuple):

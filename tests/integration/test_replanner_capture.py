@@ -130,6 +130,29 @@ def test_what_is_drawn_anew_in_each_cycle_does_not_change_the_plan(planner):
     assert all(cycle.jump is None or (cycle.jump[:4] <= 1e-6).all() for cycle in cycles)
 
 
+@pytest.mark.parametrize(("receding", "fewest", "most"), [(0.0, 1, 3), (0.2, 4, 6)])
+def test_candidates_are_looked_at_again_only_where_the_committed_plan_has_become_worse(planner, receding, fewest, most):
+    """They come to nothing; the target flies as predicted, or each prediction has it farther away than the one before."""
+    looked_at = []
+
+    def plan_batch(*given):
+        plans, (*_, above) = planner.plan_batch(*given), given
+        looked_at.append(above < np.inf)
+        if len(looked_at) == 1:
+            return plans
+        none = np.full_like(plans.reasons, Reason.LIMITS)
+        return replace(plans, reasons=none, trajectory=np.full(len(none), 0 if looked_at[-1] else -1))
+
+    def predict(observations, cycle):
+        return predicted((0.0, 0.5, 0.0), place=(-4.2, (0.05 + receding) * cycle, 1.0))
+
+    replanner = Replanner(planner._replace(plan_batch=plan_batch), predict, hover(START))
+    seen = first_observation(0.0, np.array([-4.2, 0.0, 1.0]))
+    cycles = [replanner.step(0.1 * cycle, seen) for cycle in range(6)]
+    assert cycles[0].status is PlanStatus.INTERCEPT
+    assert fewest <= sum(looked_at) <= most
+
+
 @pytest.mark.parametrize(("promise", "asked"), [(-np.inf, True), (-9.0, False), (0.0, True)])
 def test_nothing_else_is_looked_for_where_no_straight_flight_would_be_sooner(planner, promise, asked):
     """Beside a committed plan; -inf says that nothing is known of any."""
