@@ -132,7 +132,7 @@ def test_what_is_drawn_anew_in_each_cycle_does_not_change_the_plan(planner):
 
 @pytest.mark.parametrize(("receding", "fewest", "most"), [(0.0, 1, 3), (0.2, 4, 6)])
 def test_candidates_are_looked_at_again_only_where_the_committed_plan_has_become_worse(planner, receding, fewest, most):
-    """They come to nothing; the target flies as predicted, or each prediction has it farther away than the one before."""
+    """They come to nothing. The target flies as predicted, or it is farther away in each prediction."""
     looked_at = []
 
     def plan_batch(*given):
