@@ -120,6 +120,7 @@ class Replanner:
         """
         self.planner = self.planner.update(change, moving)
         self._certain = self._certain and moving
+        self._memory.vain.again("plan")
 
     def expect(self, ways: Ways | None) -> None:
         """From the next cycle on, keep clear of boxes that move, as far as it is known where they will be when.

@@ -54,6 +54,10 @@ class Vain:
         """It came to a plan that will be committed, for which it may be tried again."""
         self._new.discard(attempt)
 
+    def again(self, attempt: Attempt) -> None:
+        """It may come to something by now, as in a world that has changed."""
+        self._tried.pop(attempt, None)
+
     def _is_worse(self, tries: _Tries) -> bool:
         """Whether the plan is worth nothing, or less by now than when something was tried last."""
         return not np.isfinite(self._meeting) or self._meeting > tries.meeting + WORSE

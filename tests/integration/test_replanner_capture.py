@@ -21,6 +21,7 @@ from jaxplan.spline import FlatState, hover
 from jaxplan.status import PlanStatus, Reason
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import load_world
+from jaxplan.world.update import update_world, with_spare_boxes
 from oracles.planner_cases import CONFIG, START
 from tolerances import tolerance
 
@@ -130,9 +131,14 @@ def test_what_is_drawn_anew_in_each_cycle_does_not_change_the_plan(planner):
     assert all(cycle.jump is None or (cycle.jump[:4] <= 1e-6).all() for cycle in cycles)
 
 
-@pytest.mark.parametrize(("receding", "fewest", "most"), [(0.0, 1, 3), (0.2, 4, 6)])
-def test_candidates_are_looked_at_again_only_where_the_committed_plan_has_become_worse(planner, receding, fewest, most):
-    """They come to nothing. The target flies as predicted, or it is farther away in each prediction."""
+@pytest.mark.parametrize(
+    ("receding", "changing", "fewest", "most"), [(0.0, False, 1, 3), (0.2, False, 4, 6), (0.0, True, 6, 6)]
+)
+def test_candidates_are_looked_at_again_only_where_something_has_become_worse(
+    planner, receding, changing, fewest, most
+):
+    """They come to nothing. The target flies as predicted, or it is farther away in each prediction, or the world
+    changes."""
     looked_at = []
 
     def plan_batch(*given):
@@ -146,9 +152,14 @@ def test_candidates_are_looked_at_again_only_where_the_committed_plan_has_become
     def predict(observations, cycle):
         return predicted((0.0, 0.5, 0.0), place=(-4.2, (0.05 + receding) * cycle, 1.0))
 
-    replanner = Replanner(planner._replace(plan_batch=plan_batch), predict, hover(START))
-    seen = first_observation(0.0, np.array([-4.2, 0.0, 1.0]))
-    cycles = [replanner.step(0.1 * cycle, seen) for cycle in range(6)]
+    asked = planner._replace(plan_batch=plan_batch, update=lambda change, moving=False: asked)
+    change = update_world(with_spare_boxes(load_world("env1"), 1), add_box=([4.0, 4.0, 0.0], [4.5, 4.5, 1.0]))
+    replanner = Replanner(asked, predict, hover(START))
+    seen, cycles = first_observation(0.0, np.array([-4.2, 0.0, 1.0])), []
+    for cycle in range(6):
+        if changing:
+            replanner.update(change)
+        cycles.append(replanner.step(0.1 * cycle, seen))
     assert cycles[0].status is PlanStatus.INTERCEPT
     assert fewest <= sum(looked_at) <= most
 

@@ -119,6 +119,17 @@ def test_what_came_to_nothing_for_a_new_plan_is_not_tried_again_once_that_is_com
     assert vain.is_worth("refine")
 
 
+def test_what_was_tried_in_vain_may_be_tried_again_in_a_changed_world():
+    vain, plan = Vain(), hold(hover(START))
+    vain.against(plan, 3.0)
+    vain.remember("plan")
+    vain.remember("stop")
+    assert not vain.is_worth("plan")
+    vain.again("plan")
+    assert vain.is_worth("plan")
+    assert not vain.is_worth("stop")
+
+
 @pytest.mark.parametrize(("receding", "least", "most"), [(0.0, 1, 3), (0.2, 4, 6)])
 def test_a_committed_plan_is_refined_again_where_it_has_become_worse(planner, receding, least, most):
     """The target flies as predicted, or each prediction has it farther away than the one before."""
