@@ -97,6 +97,7 @@ def test_no_flights_and_no_width_are_refused(runner: Runner) -> None:
         Runner(lambda *_: None, lambda *_: None, 0)
 
 
+@pytest.mark.slow
 def test_the_table_is_made_of_them(tmp_path: Path, runner: Runner) -> None:
     words = "experiment table1 --preset small --worlds env1 --planners mfrl --predictors ground-truth constant-velocity"
     words += f" --episodes 4 --device cpu --batch 4 --speeds 0.5 3 --departures 0.5 1 --out {tmp_path}"

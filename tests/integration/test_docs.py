@@ -10,7 +10,10 @@ import pytest
 from tools.docs_code import ROOT, code_of_page, pages, pages_with_code
 
 PAGES, WITH_CODE = pages(), pages_with_code()
-LONG = {"docs/minsnap.md", "docs/plant.md", "docs/policy.md", "docs/start.md", "docs/howto/predictor.md"}
+LONG = {
+    *("docs/device.md", "docs/minsnap.md", "docs/plant.md", "docs/policy.md", "docs/runtime.md", "docs/start.md"),
+    "docs/howto/predictor.md",
+}
 """Pages whose code runs for more than ten seconds; `make test-docs` runs all."""
 MODULES = r"device|replanner|runtime|mavlink|io\.export|prediction\.observations|prediction\.lookout|policy\.protocol"
 """Of ``jaxplan``, from which code of the docs may import."""

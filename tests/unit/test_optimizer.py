@@ -48,6 +48,7 @@ def seed(planner):
     return Seed(plans.spline(best), 0.0, float(plans.arrival_times[best]), plans.goals[best], 1.0)
 
 
+@pytest.mark.slow
 def test_derivatives_of_all_margins_are_those_of_small_steps(x64):
     """From flight, near a pillar, with a speed that asks for more distance: every row against central differences."""
     numbers = {"clearance": 0.3, "slow": 2.0, "per_speed": 0.025, "most": 0.15, "meet_radius": 0.3, "dilation": 1.05}

@@ -148,6 +148,7 @@ def test_without_drag_and_without_a_limit_of_the_turn(segments, x64):
     assert_same_step(task, case_of(task, vehicle), a_point(segments, seed=1))
 
 
+@pytest.mark.slow
 def test_one_step_in_other_rooms(x64):
     """Beside boxes, where nothing is near, and among walls and pillars; for other solids see ``test_search_slopes``."""
     lower = np.asarray(START) + np.array([[0.4, 0.8, -0.5], [0.9, -0.9, -0.5], [-0.9, 0.3, -1.0]])
@@ -161,7 +162,7 @@ def test_one_step_in_other_rooms(x64):
         assert_same_step(task, case_of(task, load_vehicle(), name), a_point(6))
 
 
-@pytest.mark.parametrize("name", ["mfrl", "racer5"])
+@pytest.mark.parametrize("name", [pytest.param("mfrl", marks=pytest.mark.slow), "racer5"])
 def test_descents_end_where_those_of_the_batched_code_do(name, x64):
     """From the better of two starts; a descent is a chain of decisions, so rounding grows along it."""
     vehicle = load_vehicle(name)
