@@ -73,6 +73,7 @@ def test_plans_keep_clear_of_what_crosses_their_way(planner, world):
     assert touched["known"] == touched["seen"] == 0 < touched["nothing"]
 
 
+@pytest.mark.slow
 def test_who_stands_in_the_way_of_a_box_leaves_in_time(planner, world):
     """Nothing can be met; boxes come across the place where the vehicle hovers, from all sides."""
     radius, hovering = float(load_vehicle().radius), np.array([0.0, 0.0, 1.2])

@@ -2,9 +2,12 @@
 
 import json
 
+import pytest
+
 from benchmarks import bench_safety
 
 
+@pytest.mark.slow
 def test_looks_and_flights_are_part_of_a_cycle(tmp_path):
     out = tmp_path / "rows.json"
     bench_safety.main(["--worlds", "env1", "--departures", "0.5", "--targets", "1", "--json", str(out)])

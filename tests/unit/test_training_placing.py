@@ -132,6 +132,7 @@ def test_distances_are_those_of_each_lane_s_own_room(some):
         np.testing.assert_allclose(found[:, 8 * room : 8 * (room + 1)], exact, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_problems_in_flight_lie_on_the_flights_that_they_are_left_of(some):
     first, spline, left, _ = flown(some)
     assert first.good.all()
@@ -149,6 +150,7 @@ def test_problems_in_flight_lie_on_the_flights_that_they_are_left_of(some):
     assert np.linalg.norm(goals, axis=0).max() > 0.05, "goals move"
 
 
+@pytest.mark.slow
 def test_a_gentle_plan_costs_its_time_and_a_hasty_one_more(some):
     """With weights of 0 the plans go along the courses, in the time that the outputs' bias says."""
     first, _, _, distance = flown(some)
