@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import itertools
 
 import jax
 import jax.numpy as jnp
@@ -12,12 +11,9 @@ import pytest
 from jaxplan.compilation import compilations
 from jaxplan.errors import InputError
 from jaxplan.knots import KnotConfig
-from jaxplan.planner import PlannerConfig, Timer, build_planner, rounds, select, select_approach
-from jaxplan.planner.rounds import PROMISING
-from jaxplan.planner.table import search as table_search
+from jaxplan.planner import PlannerConfig, build_planner, select, select_approach
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
-from jaxplan.prediction.futures import Futures
 from jaxplan.records import replace
 from jaxplan.selection import CheckConfig, check_clearance
 from jaxplan.spline import FlatState
@@ -130,78 +126,6 @@ def test_what_cannot_beat_a_committed_plan_is_left_out(planner, moving):
     assert select(planner.plan_batch(moving, given, None, score)) == -1
     assert select(planner.plan_batch(moving, given, None, score - 1e-6)) == best
     assert (planner.plan_batch(moving, given, None, np.inf).trajectory == -1).all()
-
-
-def test_once_the_time_is_up_no_more_candidates_are_tried(world, moving):
-    """None passes, so all are tried; with a clock that says at once that it is too late, those of the first round."""
-    config = dataclasses.replace(CONFIG, checks=CheckConfig(max_deviation=1e-9), allocate="policy")
-    strict = build_planner(config, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
-    given, late = candidates(90), itertools.count().__next__
-    hasty, whole = strict.plan_batch(moving, given, Timer(late, 1e-3)), strict.plan_batch(moving, given)
-    tried, wanted = hasty.trajectory >= 0, whole.trajectory >= 0
-    assert tried.sum() == CONFIG.width < wanted.sum()
-    assert select(hasty) == select(whole) == -1
-    np.testing.assert_array_equal(hasty.reasons[tried], whole.reasons[tried])
-    assert (hasty.reasons[wanted & ~tried] == int(Reason.OUTRANKED)).all()
-    assert hasty.score[tried].min() >= hasty.score[wanted & ~tried].max()
-
-
-def test_no_more_paths_are_searched_than_it_takes(planner, moving, monkeypatch):
-    """To the goals of the best; to others only where too few of those can be reached in time; to none twice."""
-    searched = []
-
-    def search(parts, state, table, rows):
-        searched.append(rows)
-        return table_search(parts, state, table, rows)
-
-    monkeypatch.setattr(rounds, "search", search)
-    given = candidates(200)
-    plans = planner.plan_batch(moving, given)
-    assert select(plans) >= 0
-    assert [len(rows) for rows in searched] == [rounds.SEARCHED * CONFIG.width]
-
-    searched.clear()
-    monkeypatch.setattr(rounds, "SEARCHED", 1)
-    given = candidates(400)
-    plans = planner.plan_batch(moving, replace(given, arrival_times=0.05 * np.asarray(given.arrival_times)))
-    first, second = searched
-    assert len(first) == rounds.PORTION * CONFIG.width
-    assert not np.isin(first, second).any()
-    assert plans.score[first].min() >= plans.score[second].max()
-
-
-@pytest.mark.parametrize(("captures_in", "fast_from", "most"), [(0.2, 9.0, 1), (0.8, 9.0, 2), (0.8, 0.0, 1)])
-def test_the_sooner_the_committed_plan_captures_the_fewer_others_are_tried(world, moving, captures_in, fast_from, most):
-    """Where plans are compared by capture, and none passes; the best ones are those that are tried, fewer in flight."""
-    config = dataclasses.replace(
-        CONFIG, checks=CheckConfig(max_deviation=1e-9), allocate="policy", policy_speed=fast_from
-    )
-    strict = build_planner(config, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
-    ahead = np.asarray(moving.pos) + 0.3 * np.asarray(moving.vel)  # every flight captures it soon
-    still = Futures(times=np.zeros(1), positions=ahead[None, None], weights=np.ones(1))
-    given = replace(candidates(90), futures=still)
-    beside, alone = (strict.plan_batch(moving, given, None, above) for above in (-captures_in, -np.inf))
-    tried, wanted = beside.trajectory >= 0, alone.trajectory >= 0
-    assert tried.sum() == most * config.width < wanted.sum()
-    np.testing.assert_array_equal(beside.reasons[tried], alone.reasons[tried])
-    assert beside.score[tried].min() >= beside.score[wanted & ~tried].max()
-    by_eq_9 = strict.plan_batch(moving, candidates(90), None, -100.0)
-    assert (by_eq_9.trajectory >= 0).sum() > most * config.width
-
-
-@pytest.mark.parametrize(("fast_from", "gain"), [(9.0, CONFIG.capture.gain), (0.0, PROMISING)])
-def test_nothing_is_tried_where_no_straight_flight_promises_enough(world, moving, fast_from, gain):
-    """By capture, beside a committed plan; more is asked for in fast flight."""
-    config = dataclasses.replace(CONFIG, allocate="policy", policy_speed=fast_from)
-    planner = build_planner(config, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
-    still = Futures(times=np.zeros(1), positions=np.array([[[1.0, 1.0, 1.0]]]), weights=np.ones(1))
-    given = replace(candidates(90), futures=still)
-    untried = planner.plan_batch(moving, given, None, np.inf)
-    promise = untried.score[(untried.reasons & ~np.uint32(Reason.OUTRANKED)) == 0].max()
-    little, enough = (planner.plan_batch(moving, given, None, promise - share * gain) for share in (0.9, 1.1))
-    assert (little.trajectory == -1).all()
-    assert (enough.trajectory >= 0).any()
-    assert little.promise == enough.promise == untried.promise >= promise
 
 
 def replace_config(exhaustive):
