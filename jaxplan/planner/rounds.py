@@ -16,10 +16,10 @@ from jaxplan.planner.timer import Timer
 from jaxplan.precision import in_float64
 from jaxplan.spline import FlatState
 
-SEARCHED = 4
-"""Widths of candidates that paths are searched to at a time: each search settles the roads anew (measured)."""
 PORTION = 2
 """Widths of candidates that get their waypoints at a time: of about so many one width may arrive in time (measured)."""
+SEARCHED = 2
+"""Portions that paths are searched to at a time: each search settles the roads anew (measured)."""
 DOUBT = 0.25
 """s; how much sooner a candidate's trajectory may capture than a straight flight promises (arbitrary)."""
 AT_STAKE, IN_FLIGHT = 0.5, 1.0
@@ -79,10 +79,10 @@ def until_one_passes(parts: Parts, state: FlatState, table: Table, timer: Timer,
 
 
 def _searched(parts: Parts, state: FlatState, table: Table, rows: Rows, size: int, timer: Timer) -> Table:
-    """Paths to the first ``size`` of the rows, and with them to those behind them; where they have none yet."""
+    """Paths to the first ``size`` of the rows, and to portions behind them; where they have none yet."""
     if (table.path[rows[:size]] >= 0).any():
         return table
-    table = search(parts, state, table, np.sort(rows[: max(size, SEARCHED * parts.config.width)]))
+    table = search(parts, state, table, np.sort(rows[: SEARCHED * size]))
     timer.lap("search")
     return table
 

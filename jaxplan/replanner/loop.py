@@ -117,6 +117,7 @@ class Replanner:
 
         Where it is not it is no rival any more, and where no other plan is found the vehicle stops. A box that stands
         for what something ``moving`` will sweep is kept out of by searches only: ``expect`` tells when it is where.
+        Candidates that came to nothing before are looked at again.
         """
         self.planner = self.planner.update(change, moving)
         self._certain = self._certain and moving

@@ -25,11 +25,6 @@ def world():
 
 
 @pytest.fixture(scope="module")
-def planner(world):
-    return build_planner(CONFIG, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
-
-
-@pytest.fixture(scope="module")
 def moving():
     return in_flight()
 
@@ -48,7 +43,7 @@ def test_once_the_time_is_up_no_more_candidates_are_tried(world, moving):
     assert hasty.score[tried].min() >= hasty.score[wanted & ~tried].max()
 
 
-def test_no_more_paths_are_searched_than_it_takes(planner, moving, monkeypatch):
+def test_no_more_paths_are_searched_than_it_takes(world, moving, monkeypatch):
     """To the goals of the best; to others only where too few of those can be reached in time; to none twice."""
     searched = []
 
@@ -57,10 +52,11 @@ def test_no_more_paths_are_searched_than_it_takes(planner, moving, monkeypatch):
         return table_search(parts, state, table, rows)
 
     monkeypatch.setattr(rounds, "search", search)
+    planner = build_planner(CONFIG, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
     given = candidates(200)
     plans = planner.plan_batch(moving, given)
     assert select(plans) >= 0
-    assert [len(rows) for rows in searched] == [rounds.SEARCHED * CONFIG.width]
+    assert [len(rows) for rows in searched] == [rounds.SEARCHED * rounds.PORTION * CONFIG.width]
 
     searched.clear()
     monkeypatch.setattr(rounds, "SEARCHED", 1)
