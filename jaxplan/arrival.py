@@ -23,13 +23,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from jaxplan.arrays import AnyArray, namespace
+from jaxplan.arrays import AnyArray, Scalar, namespace
 from jaxplan.spline import FlatState, FlatStateBatch
 from jaxplan.status import Reason, bit
 from jaxplan.validation import require_between, require_within
 
-FIRST_SLOPE = 1.7
-"""Of f before two points are known: its median over candidates in flight is 1.4 to 1.9 in the three environments."""
+RISE, HALFWAY = 0.7, 1.4
+"""Of f's slope in flight over that at rest, and the speed [m/s] at which half of it is there: medians by speed are 1.0
+below 0.5 m/s, 1.1 below 1, 1.3 to 1.5 up to 4 (docs/decisions/0063)."""
 SLOPES = (0.8, 8.0)
 """Least and largest slope that is believed; f rises by 1.1 to 5 for each unit of x there (1st and 99th percentile)."""
 PATIENCE = 6
@@ -127,7 +128,7 @@ def match_arrival(
 
     first = jnp.full_like(arrival_times, jnp.log(config.least_alpha)) if least_alpha is None else jnp.log(least_alpha)
     least, f = allocate(first)
-    nan, slope = jnp.full_like(first, jnp.nan), jnp.full_like(first, FIRST_SLOPE)
+    nan, slope = jnp.full_like(first, jnp.nan), jnp.broadcast_to(first_slope(_squared_speed(initial)), first.shape)
     once = jnp.ones(first.shape, jnp.int32)
     start = _Search(first, f, slope, least, first, f, nan, nan, once, jnp.int32(1))
     end = jax.lax.while_loop(unfinished, step, start)
@@ -137,6 +138,15 @@ def match_arrival(
     exact = end.durations * jnp.exp(end.x)[None] * jnp.exp(-end.f)[None]
     reasons = bit(~reachable, Reason.ALPHA_LT_1) | bit(reachable & ~met, Reason.ALPHA_NOT_CONVERGED)
     return Arrival(jnp.where(met[None], exact, end.durations), alpha, least * jnp.exp(first)[None], reasons, end.calls)
+
+
+def first_slope(squared_speed: Scalar | Float[AnyArray, "k"]) -> Scalar | Float[AnyArray, "k"]:
+    """The slope of f before two points are known, by the start's speed [m^2/s^2]; exact at rest: pi does not change."""
+    return 1.0 + RISE * squared_speed / (squared_speed + HALFWAY**2)
+
+
+def _squared_speed(initial: FlatState | FlatStateBatch) -> Float[Array, "k"]:
+    return jnp.sum(jnp.asarray(initial.derivatives).reshape(5, 3, -1)[1] ** 2, axis=0)
 
 
 def time_to(durations: Float[AnyArray, "m k"], meet: Int[AnyArray, "k"] | None) -> Float[AnyArray, "k"]:

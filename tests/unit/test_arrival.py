@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplan.arrival import ArrivalConfig, match_arrival, sped_up
+from jaxplan.arrival import ArrivalConfig, first_slope, match_arrival, sped_up
 from jaxplan.errors import InputError
 from jaxplan.spline import FlatState
 from jaxplan.status import Reason
@@ -68,6 +68,16 @@ def test_allocation_that_ignores_the_state_needs_two_steps():
     np.testing.assert_allclose(result.alpha, [1.0, 2.5, 30.0], **tolerance("exact"))
     assert list(result.calls) == [1, 3, 3]
     assert not np.asarray(result.reasons).any()
+
+
+def test_from_rest_one_step_leads_there():
+    """No derivative changes with alpha, so the slope is 1; in flight it is larger."""
+    state = FlatState(derivatives=np.zeros((5, 3)), yaw=np.zeros(3))
+    with jax.enable_x64(True):
+        found = match_arrival(lambda _: _split(jnp.array([1.0, 2.0])), state, jnp.array([1.5, 9.0]), CONFIG)
+    np.testing.assert_allclose(found.alpha, [1.5, 4.5], **tolerance("exact"))
+    assert list(found.calls) == [2, 2]
+    assert first_slope(0.0) == 1.0 < first_slope(4.0) < first_slope(100.0) < 1.7
 
 
 def test_unreachable_and_invalid_lanes_leave_their_neighbours_alone():

@@ -10,7 +10,7 @@ from typing import Protocol, no_type_check, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int, Int32
 
-from jaxplan.arrival import FIRST_SLOPE, PATIENCE, SLOPES, Arrival, ArrivalConfig
+from jaxplan.arrival import PATIENCE, SLOPES, Arrival, ArrivalConfig, first_slope
 from jaxplan.planner.kernels.compiled import entry_point, inner, source_digest
 from jaxplan.policy.speed_profile import LEAST_SPEED, SHORTEST_SEGMENT
 from jaxplan.status import Reason
@@ -56,7 +56,8 @@ def profile_arrival(
     used, until = (np.array(numbers, np.int32) for numbers in (count, meet))
     wanted, least = (np.array(numbers, float) for numbers in (arrival_times, least_alpha))
     scratch = np.zeros(segments), np.zeros(segments + 1), np.zeros(segments)
-    settings = float(acceleration), float(config.tolerance), int(config.max_calls)
+    slope = first_slope(np.square(begin).sum())
+    settings = float(acceleration), float(slope), float(config.tolerance), int(config.max_calls)
     _compiled()(points, used, until, begin, wanted, least, settings, scratch, tuple(arrival))
     return arrival
 
@@ -71,7 +72,7 @@ class _Arrive(Protocol):
         velocity: Float[np.ndarray, "3"],
         arrival_times: Float[np.ndarray, "k"],
         least_alpha: Float[np.ndarray, "k"],
-        settings: tuple[float, float, int],
+        settings: tuple[float, float, float, int],
         scratch: tuple,
         arrival: tuple,
     ) -> None:
@@ -87,7 +88,7 @@ def _compiled() -> _Arrive:
     def entry(waypoints, count, meet, velocity, arrival_times, least_alpha, settings, scratch, arrival):
         _ = version
         lengths, limits, durations = scratch
-        acceleration, tolerance, most = settings
+        acceleration, slope, tolerance, most = settings
         slowed, alpha, least, reasons, calls = arrival
         for k in range(len(count)):
             along = _course(waypoints, k, count[k] - 1, velocity, lengths, limits)
@@ -96,7 +97,7 @@ def _compiled() -> _Arrive:
             early = _miss(sequence, first, wanted)
             for j in range(count[k] - 1):
                 least[j, k] = durations[j] * math.exp(first)
-            x, f, calls[k] = _matched(sequence, first, early, wanted, tolerance, most)
+            x, f, calls[k] = _matched(sequence, first, early, wanted, slope, tolerance, most)
             met = abs(f) <= tolerance
             exact = math.exp(x) * math.exp(-f) if met else 1.0
             for j in range(count[k] - 1):
@@ -112,9 +113,9 @@ def _compiled() -> _Arrive:
 
 @inner
 @no_type_check
-def _matched(sequence, first, early, wanted, tolerance, most):
+def _matched(sequence, first, early, wanted, slope, tolerance, most):
     """The logarithm of the scale factor, what is missed then, and calls; the durations of that are written."""
-    x, f, slope, calls = first, early, FIRST_SLOPE, 1
+    x, f, calls = first, early, 1
     below, f_below, above, f_above = first, early, math.nan, math.nan
     while calls < most and f_below <= tolerance and f - f == 0.0 and abs(f) > tolerance:
         before, missed = x, f
