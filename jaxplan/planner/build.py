@@ -246,7 +246,7 @@ def plan_batch(
     table = reject(parts, state, table_of(candidates, parts.score(state, candidates, prospect)))
     promise = table.promise()
     if not parts.config.exhaustive:
-        least = above if prospect is None else least_promise(parts, state, table, above)
+        least = above if prospect is None else least_promise(table, above)
         table = outrank(table, np.flatnonzero(table.score <= least))
     timer.lap("reject")
     rounds = np.inf if prospect is None else most_rounds(parts, state, above)

@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxplan.batching import meanwhile
 from jaxplan.planner.parts import Allocation, Parts
+from jaxplan.planner.records import prospect_for
 from jaxplan.planner.table import Checked, Rows, Table, bound, check, enter, knots, match, outrank, search
 from jaxplan.planner.timer import Timer
 from jaxplan.precision import in_float64
@@ -25,21 +26,23 @@ DOUBT = 0.25
 AT_STAKE, IN_FLIGHT = 0.5, 1.0
 """s; beside a committed plan one width of candidates is tried for each of these until it captures the target: no other
 plan gains more (docs/decisions/0047). The second in fast flight, where further rounds hardly ever pass (0054)."""
+MOST, MOST_IN_FLIGHT = 3, 2
+"""Widths of candidates that are tried beside a committed plan at most: of 76 further ones none passed (0063)."""
 PROMISING = 0.2
-"""s; in fast flight candidates are tried only where the best of them promises to capture so much sooner than a
-committed plan: what won promised more (docs/decisions/0054)."""
+"""s; candidates are tried only where the best of them promises to capture so much sooner than a committed plan: what
+won promised more (docs/decisions/0054, 0063)."""
 
 
 def most_rounds(parts: Parts, state: FlatState, above: float) -> float:
     """How many widths of candidates are tried beside a committed plan that is worth ``above`` [s], by capture."""
-    each = IN_FLIGHT if parts.config.is_fast(state) else AT_STAKE
-    return np.inf if above == -np.inf else max(np.ceil(-above / each), 1.0)
+    each, most = (IN_FLIGHT, MOST_IN_FLIGHT) if parts.config.is_fast(state) else (AT_STAKE, MOST)
+    return np.inf if above == -np.inf else float(np.clip(np.ceil(-above / each), 1.0, most))
 
 
-def least_promise(parts: Parts, state: FlatState, table: Table, above: float) -> float:
+def least_promise(table: Table, above: float) -> float:
     """What a candidate must promise [s] to be tried beside a committed plan that is worth ``above``, by capture."""
-    gain, best = PROMISING if parts.config.is_fast(state) else parts.config.capture.gain, table.best_first()[:1]
-    return above - DOUBT if table.score[best].max(initial=-np.inf) > above + gain else np.inf
+    best = table.best_first()[:1]
+    return above - DOUBT if table.score[best].max(initial=-np.inf) > above + PROMISING else np.inf
 
 
 def outrank_beyond(parts: Parts, table: Table, rounds: float) -> Table:
@@ -53,8 +56,8 @@ def until_one_passes(parts: Parts, state: FlatState, table: Table, timer: Timer,
     """Search, match, solve and check the best rows first, in at most so many rounds, until a round has a usable one.
 
     Paths are searched and waypoints placed for few more of them than it takes to fill the next round with what may
-    arrive in time. Once the ``timer`` is up there is no further round. Where the first came to nothing two are tried
-    at a time, on two cores.
+    arrive in time. Once the ``timer`` is up there is no further round. As soon as the first one has come to nothing,
+    or its first time allocation has, two are tried at a time, on two cores.
     """
     width, exhaustive, asked = parts.config.width, parts.config.exhaustive, parts.tried(state)
     rows = table.usable() if exhaustive else table.best_first()
@@ -65,11 +68,15 @@ def until_one_passes(parts: Parts, state: FlatState, table: Table, timer: Timer,
         table = _bounded(parts, state, table, some[table.reasons[some] == 0], timer)
         waiting = np.concatenate([waiting, some[table.reasons[some] == 0]])
         while len(waiting) >= (least := width if len(rows) else 1):
-            now = soon or functools.partial(_round, parts, state, table, waiting[:width], asked, timer)
-            waiting, rounds, asked = waiting[width:], rounds - 1, parts.allocations(state)
-            is_next = begun and rounds > 0 and len(waiting) >= least
-            soon = _soon(parts, state, table, waiting[:width], asked) if is_next else None
-            tried, begun = now(), True
+            now, waiting, rounds = waiting[:width], waiting[width:], rounds - 1
+            following = _Following()
+            if not exhaustive and rounds > 0 and len(waiting) >= least:
+                later = parts.allocations(state)
+                following = _Following(functools.partial(_round, parts, state, table, waiting[:width], later, Timer()))
+            if begun:
+                following.begin()
+            tried = soon() if soon else _round(parts, state, table, now, asked, timer, following)
+            soon, asked, begun = following.soon, parts.allocations(state), True
             timer.lap("minsnap")
             table = functools.reduce(enter, tried, table)
             passed = any((checked.reasons == 0).any() for checked in tried)
@@ -98,18 +105,34 @@ def _bounded(parts: Parts, state: FlatState, table: Table, rows: Rows, timer: Ti
     return table
 
 
-def _soon(
-    parts: Parts, state: FlatState, table: Table, rows: Rows, asked: tuple[Allocation, ...]
-) -> Callable[[], list[Checked]]:
-    """A round on another core, which counts only where the one before it comes to nothing."""
-    return meanwhile(functools.partial(in_float64(_round), parts, state, table, rows, asked, Timer()))
+class _Following:
+    """The round after one, on another core once it is likely to be wanted; it counts only where that one is in vain."""
+
+    def __init__(self, run: Callable[[], list[Checked]] | None = None) -> None:
+        self._run = run
+        self.soon: Callable[[], list[Checked]] | None = None
+        """Gives what it came to; None where it has not begun."""
+
+    def begin(self) -> None:
+        """At most once."""
+        if self._run is not None and self.soon is None:
+            self.soon = meanwhile(in_float64(self._run))
 
 
 def _round(
-    parts: Parts, state: FlatState, table: Table, rows: Rows, asked: tuple[Allocation, ...], timer: Timer
+    parts: Parts,
+    state: FlatState,
+    table: Table,
+    rows: Rows,
+    asked: tuple[Allocation, ...],
+    timer: Timer,
+    following: _Following | None = None,
 ) -> list[Checked]:
-    """Ask the time allocations in turn, each for the rows that can still win."""
-    tried = []
+    """Ask the time allocations in turn, each for the rows that can still win; the ``following`` round if one fails.
+
+    By capture the first that has a plan is enough: scores are promises, and of what the others found little won.
+    """
+    by_capture, tried = prospect_for(parts.config, table.candidates) is not None, []
     for allocation in asked:
         matched = match(parts, allocation, state, table, rows)
         timer.lap("policy", matched.arrival)
@@ -117,6 +140,8 @@ def _round(
         timer.lap("minsnap")
         passes = tried[-1].reasons == 0
         rows = rows[~passes] if parts.config.exhaustive else rows[np.cumsum(passes) == 0]
-        if not len(rows):
+        if not len(rows) or (by_capture and passes.any()):
             break
+        if following is not None and not passes.any():
+            following.begin()
     return tried

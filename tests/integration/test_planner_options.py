@@ -236,6 +236,7 @@ def test_what_cannot_be_asked_for_is_not_compiled(world, moving, allocate):
 def test_a_planner_is_taken_to_a_world_that_is_too_large_for_its_cells(world, moving):
     """With coarser ones; it keeps them in the next world, and all that is compiled."""
     planner = build_planner(CONFIG, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
+    planner.warmup(moving)
     assert select(planner.plan_batch(moving, candidates(30))) >= 0
     flat = np.array([[-30.0, -33.0, 0.0], [30.0, 33.0, 7.0]])
     large = replace(world, name="large", bounds=flat)

@@ -6,6 +6,7 @@ import itertools
 import numpy as np
 import pytest
 
+from jaxplan.batching import meanwhile
 from jaxplan.planner import Timer, build_planner, rounds, select
 from jaxplan.planner.rounds import PROMISING
 from jaxplan.planner.table import search as table_search
@@ -13,10 +14,11 @@ from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.futures import Futures
 from jaxplan.records import replace
 from jaxplan.selection import CheckConfig
+from jaxplan.spline import hover
 from jaxplan.status import Reason
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import load_world
-from oracles.planner_cases import CONFIG, candidates, in_flight
+from oracles.planner_cases import CONFIG, START, candidates, in_flight
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +70,11 @@ def test_no_more_paths_are_searched_than_it_takes(world, moving, monkeypatch):
     assert plans.score[first].min() >= plans.score[second].max()
 
 
-@pytest.mark.parametrize(("captures_in", "fast_from", "most"), [(0.2, 9.0, 1), (0.8, 9.0, 2), (0.8, 0.0, 1)])
+@pytest.mark.parametrize(
+    ("captures_in", "fast_from", "most"), [(0.4, 9.0, 1), (0.8, 9.0, 2), (0.8, 0.0, 1), (9.0, 9.0, 3), (9.0, 0.0, 2)]
+)
 def test_the_sooner_the_committed_plan_captures_the_fewer_others_are_tried(world, moving, captures_in, fast_from, most):
-    """Where plans are compared by capture, and none passes; the best ones are those that are tried, fewer in flight."""
+    """Where plans are compared by capture, and none passes; the best are tried, fewer in flight, three at most."""
     config = dataclasses.replace(
         CONFIG, checks=CheckConfig(max_deviation=1e-9), allocate="policy", policy_speed=fast_from
     )
@@ -87,16 +91,70 @@ def test_the_sooner_the_committed_plan_captures_the_fewer_others_are_tried(world
     assert (by_eq_9.trajectory >= 0).sum() > most * config.width
 
 
-@pytest.mark.parametrize(("fast_from", "gain"), [(9.0, CONFIG.capture.gain), (0.0, PROMISING)])
-def test_nothing_is_tried_where_no_straight_flight_promises_enough(world, moving, fast_from, gain):
-    """By capture, beside a committed plan; more is asked for in fast flight."""
+def asked_in(monkeypatch, later):
+    """Who allots times in rounds, in turn, and how many of them had when further rounds began; those wait or not."""
+    asked, begun, matched = [], [], rounds.match
+
+    def match(parts, allocation, *rest):
+        asked.append(allocation.match)
+        return matched(parts, allocation, *rest)
+
+    def begin(run):
+        begun.append(len(asked))
+        return run if later else meanwhile(run)
+
+    monkeypatch.setattr(rounds, "match", match)
+    monkeypatch.setattr(rounds, "meanwhile", begin)
+    return asked, begun
+
+
+def test_the_next_round_begins_once_an_allocation_has_failed_and_counts_where_the_one_before_fails(world, monkeypatch):
+    """Here the best 120 come to nothing. Whether rounds run beside each other makes no difference."""
+    planner = build_planner(CONFIG, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
+    given, checked, found = candidates(200), rounds.check, []
+    best = np.argsort(-planner.plan_batch(hover(START), given).score)[:120]
+
+    def check(parts, state, table, matched):
+        good = checked(parts, state, table, matched)
+        return good._replace(reasons=np.where(np.isin(good.rows, best), np.uint32(Reason.LIMITS), good.reasons))
+
+    monkeypatch.setattr(rounds, "check", check)
+    monkeypatch.setattr(rounds, "PORTION", 6)
+    for later in (True, False):
+        with monkeypatch.context() as patch:
+            _, begun = asked_in(patch, later)
+            found.append(planner.plan_batch(hover(START), given))
+        assert begun[0] == 1
+    one, two = found
+    assert select(one) == select(two) >= 0
+    np.testing.assert_array_equal(one.reasons, two.reasons)
+    np.testing.assert_array_equal(one.trajectory, two.trajectory)
+
+
+def test_by_capture_one_allocation_that_has_a_plan_is_enough(world, monkeypatch):
+    """By eq. 9 the other one is asked for whatever would be better."""
+    planner = build_planner(CONFIG, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
+    still = Futures(times=np.zeros(1), positions=START[None, None] + [0.0, 2.0, 0.0], weights=np.ones(1))
+    given, numbers = candidates(60), []
+    for futures in (still, None):
+        with monkeypatch.context() as patch:
+            asked, _ = asked_in(patch, later=True)
+            assert select(planner.plan_batch(hover(START), replace(given, futures=futures))) >= 0
+        numbers.append(len(asked))
+    assert numbers[0] % 2 == 1
+    assert numbers[1] % 2 == 0
+
+
+@pytest.mark.parametrize("fast_from", [9.0, 0.0])
+def test_nothing_is_tried_where_no_straight_flight_promises_enough(world, moving, fast_from):
+    """By capture, beside a committed plan, from slow and from fast starts."""
     config = dataclasses.replace(CONFIG, allocate="policy", policy_speed=fast_from)
     planner = build_planner(config, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
     still = Futures(times=np.zeros(1), positions=np.array([[[1.0, 1.0, 1.0]]]), weights=np.ones(1))
     given = replace(candidates(90), futures=still)
     untried = planner.plan_batch(moving, given, None, np.inf)
     promise = untried.score[(untried.reasons & ~np.uint32(Reason.OUTRANKED)) == 0].max()
-    little, enough = (planner.plan_batch(moving, given, None, promise - share * gain) for share in (0.9, 1.1))
+    little, enough = (planner.plan_batch(moving, given, None, promise - share * PROMISING) for share in (0.9, 1.1))
     assert (little.trajectory == -1).all()
     assert (enough.trajectory >= 0).any()
     assert little.promise == enough.promise == untried.promise >= promise
