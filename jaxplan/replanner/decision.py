@@ -5,11 +5,13 @@ soon they are expected to capture it (``jaxplan.planner.capture``). In both case
 others, what is chosen is made sooner where there is time, and nothing is chosen that the last look refuses.
 """
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxplan.batching import meanwhile
 from jaxplan.planner import (
     Approaches,
     Corrections,
@@ -48,18 +50,23 @@ LOOKED_AT = 4
 APPROACHED = (0.5, 0.9, 1.4, 2.0)
 """Seconds from the start after which the target is expected where it is approached (arbitrary)."""
 
+STANDING = 0.3
+"""m/s; what is slower than that is not corrected where plans pass: of 153 such cycles the corrections of 5 were sooner,
+by 0.03 s (docs/decisions/0063)."""
+
 Flights = Plans | Approaches | Corrections | Stops
 """Trajectories that were solved and checked."""
 
 
 class _Rival(NamedTuple):
-    """The best so far."""
+    """What may be committed, before the last look at it."""
 
     score: float
-    """What another one must be better than [s]."""
+    """What it is worth [s]."""
     status: PlanStatus
-    chosen: Chosen | None
-    """None: the committed plan."""
+    chosen: Chosen
+    seed: Seed | None
+    """From which a refinement begins by eq. 9; None by capture, where it begins from the trajectory."""
 
 
 class Memory(NamedTuple):
@@ -127,10 +134,9 @@ class Decision:
     def _by_score(self, plans: Plans) -> Outcome:
         """The ladder: a better interception, the committed one, an approach, a stop if need be, what is committed."""
         candidates, incumbent = self._known.candidates, self.incumbent
-        best = self._best(plans, plans.score)
-        if best >= 0 and plans.score[best] > incumbent.score:
-            refined = self._refined(seed_of_plan(plans, best, candidates), float(plans.score[best]))
-            return PlanStatus.INTERCEPT, refined or chosen_from(plans, best, float(plans.alpha[best]), best)
+        better = self._ranked(plans, plans.score, PlanStatus.INTERCEPT, incumbent.score)
+        if outcome := self._first(better):
+            return outcome
         if np.isfinite(incumbent.score):
             if not self._vain.is_worth("refine", TWICE):
                 return PlanStatus.KEPT_COMMITTED, None
@@ -138,11 +144,8 @@ class Decision:
             refined = self._refined(seed, incumbent.score)
             return (PlanStatus.INTERCEPT, refined) if refined else (PlanStatus.KEPT_COMMITTED, None)
         approaches = self._approaches()
-        best = self._best(approaches, -approaches.lateness)
-        if best >= 0:
-            refined = self._refined(seed_of_plan(approaches, best, candidates), -np.inf)
-            approached = chosen_from(approaches, best, float(approaches.alpha[best]))
-            return (self._status(refined), refined) if refined else (PlanStatus.APPROACH, approached)
+        if outcome := self._first(self._ranked(approaches, -approaches.lateness, PlanStatus.APPROACH)):
+            return outcome
         if not self._known.certain:
             return self.stop(PlanStatus.BRAKE)
         if (np.asarray(candidates.reasons) & np.uint32(Reason.TARGET_LOST)).all():
@@ -155,49 +158,74 @@ class Decision:
 
         Where no flight, though it went straight on, would be enough sooner than what is committed, only that counts.
         """
-        rival = _Rival(self.incumbent.score + self._planner.config.capture.gain, PlanStatus.KEPT_COMMITTED, None)
-        if not -np.inf < plans.promise <= rival.score:
-            rival = self._soonest(rival, plans, prospect)
-        if rival.chosen is None and not np.isfinite(self.incumbent.score):
+        least = self.incumbent.score + self._planner.config.capture.gain
+        if not -np.inf < plans.promise <= least and (outcome := self._soonest(least, plans, prospect)):
+            return outcome
+        if not np.isfinite(self.incumbent.score):
             return self.stop(PlanStatus.BRAKE)
-        if rival.chosen is None and not self._vain.is_worth("refine"):
-            return rival.status, None
-        spline, since = self._known.committed.spline, self._known.since
-        if rival.chosen is not None:
-            spline, since = rival.chosen.spline, 0.0
-        seed = seed_towards(prospect, spline, since, self._config.reach)
-        refined = self._refined(seed, rival.score, new=rival.chosen is not None)
-        return (self._status(refined), refined) if refined else (rival.status, rival.chosen)
+        if not self._vain.is_worth("refine"):
+            return PlanStatus.KEPT_COMMITTED, None
+        seed = seed_towards(prospect, self._known.committed.spline, self._known.since, self._config.reach)
+        refined = self._refined(seed, least)
+        return (self._status(refined), refined) if refined else (PlanStatus.KEPT_COMMITTED, None)
 
-    def _soonest(self, rival: _Rival, plans: Plans, prospect: Prospect) -> _Rival:
-        """The best of plans and corrections.
+    def _soonest(self, least: float, plans: Plans, prospect: Prospect) -> Outcome | None:
+        """The best of plans and corrections, where it is worth more than ``least`` [s].
 
         Where none of them passes approaches are looked at, and then stops, which keep the ways open.
         """
-        corrections = self._planner.correct(self._known.start.state, prospect)
-        corrected = _worth(prospect, corrections)
-        self._timer.lap("correct")
-        if (plans.reasons == 0).any() or (corrections.reasons == 0).any():
-            rival = self._sooner(rival, plans, plans.score, PlanStatus.INTERCEPT)
-            return self._sooner(rival, corrections, corrected, PlanStatus.INTERCEPT)
+        start, rivals = self._known.start.state, self._ranked(plans, plans.score, PlanStatus.INTERCEPT, least)
+        passes = bool((plans.reasons == 0).any())
+        if not passes or np.linalg.norm(start.vel) > STANDING:
+            corrections = self._planner.correct(start, prospect)
+            rivals += self._ranked(corrections, _worth(prospect, corrections), PlanStatus.INTERCEPT, least)
+            passes |= bool((corrections.reasons == 0).any())
+            self._timer.lap("correct")
+        if passes:
+            return self._first(sorted(rivals, key=lambda rival: -rival.score)[:LOOKED_AT])
         if self._vain.is_worth("approach"):
             approaches = self._approaches()
-            rival = self._sooner(rival, approaches, _worth(prospect, approaches), PlanStatus.APPROACH)
-        if rival.chosen is None and np.isfinite(self.incumbent.score) and self._vain.is_worth("stop"):
-            self._vain.remember("stop")
-            stops = self._planner.brake(self._known.start.state, self._known.committed.spline, self._known.since)
-            rival = self._sooner(rival, stops, _worth(prospect, stops), PlanStatus.APPROACH)
-            self._timer.lap("stop")
-        return rival
+            ways = self._ranked(approaches, _worth(prospect, approaches), PlanStatus.APPROACH, least)
+            if outcome := self._first(ways):
+                return outcome
+        if not np.isfinite(self.incumbent.score) or not self._vain.is_worth("stop"):
+            return None
+        self._vain.remember("stop")
+        stops = self._planner.brake(start, self._known.committed.spline, self._known.since)
+        self._timer.lap("stop")
+        return self._first(self._ranked(stops, _worth(prospect, stops), PlanStatus.APPROACH, least))
 
-    def _sooner(self, rival: _Rival, among: Flights, score: Float[np.ndarray, "k"], status: PlanStatus) -> _Rival:
-        """The best of some trajectories, where it is better than ``rival``."""
-        best = self._best(among, score, rival.score)
-        if best < 0:
-            return rival
-        slowdown = float(among.alpha[best]) if isinstance(among, Plans | Approaches) else np.nan
-        chosen = chosen_from(among, best, slowdown, best if isinstance(among, Plans) else -1)
-        return _Rival(float(score[best]), status, chosen)
+    def _ranked(
+        self, among: Flights, score: Float[np.ndarray, "k"], status: PlanStatus, least: float = -np.inf
+    ) -> list[_Rival]:
+        """The usable trajectories of the largest scores above ``least``, so many as a cycle looks at."""
+        usable: Int[np.ndarray, "n"] = np.flatnonzero((among.reasons == 0) & np.isfinite(score) & (score > least))
+        rivals = []
+        for index in usable[np.argsort(-score[usable], kind="stable")][:LOOKED_AT].tolist():
+            slowdown = float(among.alpha[index]) if isinstance(among, Plans | Approaches) else np.nan
+            chosen = chosen_from(among, index, slowdown, index if isinstance(among, Plans) else -1)
+            seed = None
+            if self._known.prospect is None and isinstance(among, Plans | Approaches):
+                seed = seed_of_plan(among, index, self._known.candidates)
+            rivals.append(_Rival(float(score[index]), status, chosen, seed))
+        return rivals
+
+    def _first(self, rivals: list[_Rival]) -> Outcome | None:
+        """The first of them that passes the last look, or what refining it gives: that is done meanwhile."""
+        prospect = self._known.prospect
+        for rival in rivals:
+            spline, seed = rival.chosen.spline, rival.seed
+            look = meanwhile(functools.partial(self._passes, spline))
+            if prospect is not None:
+                seed = seed_towards(prospect, spline, 0.0, self._config.reach)
+            assert seed is not None, "by eq. 9 every rival has one"
+            refined = self._refined(seed, rival.score, new=prospect is not None)
+            if refined is not None:
+                return self._status(refined), refined
+            if look():
+                return rival.status, rival.chosen
+            self.refused += 1
+        return None
 
     def _approaches(self) -> Approaches:
         """Of the latest candidates, or, where the futures are known, of where the target is expected soon."""
@@ -257,15 +285,6 @@ class Decision:
         if not self._config.drop_late or planned is None:
             return None
         return min(self._pace.steps(self._latency - self._timer.total, self._latency), planned.iterations)
-
-    def _best(self, among: Flights, score: Float[np.ndarray, "k"], least: float = -np.inf) -> int:
-        """The usable trajectory of the largest score above ``least`` that passes the last look; -1 for none."""
-        usable: Int[np.ndarray, "n"] = np.flatnonzero((among.reasons == 0) & np.isfinite(score) & (score > least))
-        for index in usable[np.argsort(-score[usable], kind="stable")][:LOOKED_AT].tolist():
-            if self._passes(among.spline(index)):
-                return int(index)
-            self.refused += 1
-        return -1
 
     def _passes(self, spline: PiecewisePolynomial) -> bool:
         """The last look at a plan, and its flight in the model."""

@@ -185,6 +185,30 @@ def test_nothing_else_is_looked_for_where_no_straight_flight_would_be_sooner(pla
     assert asked or cycle.status is PlanStatus.KEPT_COMMITTED
 
 
+def test_a_flight_is_corrected_but_not_a_vehicle_that_stands_where_plans_pass(planner):
+    corrected, passing = [], True
+
+    def plan_batch(*given):
+        plans = replace(planner.plan_batch(*given[:-1], -np.inf), promise=np.inf)
+        return plans if passing else replace(plans, reasons=np.full_like(plans.reasons, Reason.LIMITS))
+
+    def correct(*given):
+        corrected.append(given)
+        return planner.correct(*given)
+
+    asked = planner._replace(plan_batch=plan_batch, correct=correct)
+    replanner = Replanner(asked, Passing(predicted((0.0, 0.5, 0.0)), 0.0), hover(START))
+    seen = first_observation(0.0, np.array([-4.2, 0.0, 1.0]))
+    assert replanner.step(0.0, seen).status is PlanStatus.INTERCEPT
+    assert not corrected
+    replanner.step(0.4, seen)
+    assert np.linalg.norm(replanner.reference(np.array([0.45])).vel) > 1.0
+    assert len(corrected) == 1
+    passing = False
+    Replanner(asked, Passing(predicted((0.0, 0.5, 0.0)), 0.0), hover(START)).step(0.0, seen)
+    assert len(corrected) == 2
+
+
 class Turning:
     """A target that flies north and turns back after 0.5 s; expected to go on as it does now, more or less."""
 
