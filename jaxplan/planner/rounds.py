@@ -23,11 +23,11 @@ SEARCHED = 2
 """Portions that paths are searched to at a time: each search settles the roads anew (measured)."""
 DOUBT = 0.25
 """s; how much sooner a candidate's trajectory may capture than a straight flight promises (arbitrary)."""
-AT_STAKE, IN_FLIGHT = 0.5, 1.0
+AT_STAKE = 1.0
 """s; beside a committed plan one width of candidates is tried for each of these until it captures the target: no other
-plan gains more (docs/decisions/0047). The second in fast flight, where further rounds hardly ever pass (0054)."""
+plan gains more (docs/decisions/0047, 0054),"""
 MOST, MOST_IN_FLIGHT = 3, 2
-"""Widths of candidates that are tried beside a committed plan at most: of 76 further ones none passed (0063)."""
+"""and so many at most, the second in fast flight: of 76 further ones none passed (0063)."""
 PROMISING = 0.2
 """s; candidates are tried only where the best of them promises to capture so much sooner than a committed plan: what
 won promised more (docs/decisions/0054, 0063)."""
@@ -35,8 +35,8 @@ won promised more (docs/decisions/0054, 0063)."""
 
 def most_rounds(parts: Parts, state: FlatState, above: float) -> float:
     """How many widths of candidates are tried beside a committed plan that is worth ``above`` [s], by capture."""
-    each, most = (IN_FLIGHT, MOST_IN_FLIGHT) if parts.config.is_fast(state) else (AT_STAKE, MOST)
-    return np.inf if above == -np.inf else float(np.clip(np.ceil(-above / each), 1.0, most))
+    most = MOST_IN_FLIGHT if parts.config.is_fast(state) else MOST
+    return np.inf if above == -np.inf else float(np.clip(np.ceil(-above / AT_STAKE), 1.0, most))
 
 
 def least_promise(table: Table, above: float) -> float:

@@ -71,7 +71,7 @@ def test_no_more_paths_are_searched_than_it_takes(world, moving, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("captures_in", "fast_from", "most"), [(0.4, 9.0, 1), (0.8, 9.0, 2), (0.8, 0.0, 1), (9.0, 9.0, 3), (9.0, 0.0, 2)]
+    ("captures_in", "fast_from", "most"), [(0.9, 9.0, 1), (1.8, 9.0, 2), (9.0, 9.0, 3), (1.8, 0.0, 2), (9.0, 0.0, 2)]
 )
 def test_the_sooner_the_committed_plan_captures_the_fewer_others_are_tried(world, moving, captures_in, fast_from, most):
     """Where plans are compared by capture, and none passes; the best are tried, fewer in flight, three at most."""
