@@ -132,7 +132,7 @@ def _round(
 
     By capture the first that has a plan is enough: scores are promises, and of what the others found little won.
     """
-    by_capture, tried = prospect_for(parts.config, table.candidates) is not None, []
+    enough, tried = not parts.config.exhaustive and prospect_for(parts.config, table.candidates) is not None, []
     for allocation in asked:
         matched = match(parts, allocation, state, table, rows)
         timer.lap("policy", matched.arrival)
@@ -140,7 +140,7 @@ def _round(
         timer.lap("minsnap")
         passes = tried[-1].reasons == 0
         rows = rows[~passes] if parts.config.exhaustive else rows[np.cumsum(passes) == 0]
-        if not len(rows) or (by_capture and passes.any()):
+        if not len(rows) or (enough and passes.any()):
             break
         if following is not None and not passes.any():
             following.begin()

@@ -131,18 +131,18 @@ def test_the_next_round_begins_once_an_allocation_has_failed_and_counts_where_th
     np.testing.assert_array_equal(one.trajectory, two.trajectory)
 
 
-def test_by_capture_one_allocation_that_has_a_plan_is_enough(world, monkeypatch):
-    """By eq. 9 the other one is asked for whatever would be better."""
-    planner = build_planner(CONFIG, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
+@pytest.mark.parametrize(
+    ("captures", "exhaustive", "enough"), [(True, False, True), (False, False, False), (True, True, False)]
+)
+def test_by_capture_one_allocation_that_has_a_plan_is_enough(world, monkeypatch, captures, exhaustive, enough):
+    """By eq. 9, and where all is evaluated, the other one is asked for whatever would be better, or has none."""
+    config = dataclasses.replace(CONFIG, exhaustive=exhaustive)
+    planner = build_planner(config, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
     still = Futures(times=np.zeros(1), positions=START[None, None] + [0.0, 2.0, 0.0], weights=np.ones(1))
-    given, numbers = candidates(60), []
-    for futures in (still, None):
-        with monkeypatch.context() as patch:
-            asked, _ = asked_in(patch, later=True)
-            assert select(planner.plan_batch(hover(START), replace(given, futures=futures))) >= 0
-        numbers.append(len(asked))
-    assert numbers[0] % 2 == 1
-    assert numbers[1] % 2 == 0
+    asked, _ = asked_in(monkeypatch, later=True)
+    plans = planner.plan_batch(hover(START), replace(candidates(60), futures=still if captures else None))
+    assert select(plans) >= 0
+    assert len(asked) % 2 == (1 if enough else 0)
 
 
 @pytest.mark.parametrize("fast_from", [9.0, 0.0])
