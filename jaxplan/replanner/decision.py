@@ -211,11 +211,17 @@ class Decision:
         return rivals
 
     def _first(self, rivals: list[_Rival]) -> Outcome | None:
-        """The first of them that passes the last look, or what refining it gives: that is done meanwhile."""
+        """The first of them that passes the last look, or what refining it gives.
+
+        The first is looked at while it is refined: one is hardly ever refused.
+        """
         prospect = self._known.prospect
-        for rival in rivals:
+        for number, rival in enumerate(rivals):
             spline, seed = rival.chosen.spline, rival.seed
             look = meanwhile(functools.partial(self._passes, spline))
+            if number > 0 and not look():
+                self.refused += 1
+                continue
             if prospect is not None:
                 seed = seed_towards(prospect, spline, 0.0, self._config.reach)
             assert seed is not None, "by eq. 9 every rival has one"

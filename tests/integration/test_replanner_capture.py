@@ -11,7 +11,7 @@ from jaxplan.minsnap.single import minimum_snap
 from jaxplan.planner import RefinementConfig, build_planner, prospect_for, select
 from jaxplan.planner.capture import STEP, CaptureConfig, prospect_of
 from jaxplan.policy.constant_speed import constant_speed_policy
-from jaxplan.prediction.candidates import Candidates, candidates_from, later
+from jaxplan.prediction.candidates import Candidates
 from jaxplan.prediction.futures import Futures
 from jaxplan.prediction.observations import first_observation
 from jaxplan.records import replace
@@ -21,11 +21,9 @@ from jaxplan.spline import FlatState, hover
 from jaxplan.status import PlanStatus, Reason
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import load_world
-from jaxplan.world.update import update_world, with_spare_boxes
+from oracles.expectations import Always, Passing, predicted
 from oracles.planner_cases import CONFIG, START
 from tolerances import tolerance
-
-TIMES = 0.1 * np.arange(1, 21)
 
 
 @pytest.fixture(scope="module")
@@ -40,44 +38,6 @@ def flying(speed: float) -> FlatState:
     derivatives = np.zeros((5, 3))
     derivatives[0], derivatives[1] = [-4.2, -3.5, 1.0], [0.0, speed, 0.0]
     return FlatState(derivatives=derivatives, yaw=np.zeros(3))
-
-
-def predicted(
-    *velocities: tuple[float, float, float], place: tuple[float, float, float] = (-4.2, 0.0, 1.0)
-) -> Candidates:
-    """A target at a place that goes on at one of some velocities, all as likely; its goals are those of all of them."""
-    motions = np.array(place) + np.r_[0.0, TIMES][:, None] * np.array(velocities)[:, None]
-    count = len(velocities)
-    goals = np.moveaxis(motions[:, 1:], 0, 1).reshape(-1, 3)
-    found = candidates_from(np.array(place), goals, np.repeat(TIMES, count), np.zeros(len(goals)))
-    futures = Futures(times=np.r_[0.0, TIMES], positions=motions, weights=np.full(count, 1.0 / count))
-    return replace(found, futures=futures)
-
-
-class Always:
-    """A predictor that always says the same of what comes from now on, or one thing after another."""
-
-    def __init__(self, *answers: Candidates) -> None:
-        self.answers = answers
-
-    def __call__(self, observations: object, cycle: int) -> Candidates:
-        return self.answers[cycle % len(self.answers)]
-
-
-class Passing:
-    """One motion of the target, as time passes."""
-
-    def __init__(self, whole: Candidates, spread: float) -> None:
-        self.whole, self.spread, self.rng = whole, spread, np.random.default_rng(0)
-
-    def __call__(self, observations: object, cycle: int) -> Candidates:
-        """Told anew in each cycle, with noise on whole motions."""
-        whole = later(self.whole, 0.1 * cycle)
-        futures = whole.futures
-        assert futures is not None
-        moved = futures.positions + self.spread * self.rng.normal(size=(len(futures.positions), 1, 3))
-        goals = np.moveaxis(moved[:, 1:], 0, 1).reshape(-1, 3)
-        return replace(whole, goals=goals, futures=replace(futures, positions=moved))
 
 
 @pytest.mark.parametrize("speed", [0.0, 3.0, 6.0])
@@ -129,84 +89,6 @@ def test_what_is_drawn_anew_in_each_cycle_does_not_change_the_plan(planner):
     assert cycles[0].status is PlanStatus.INTERCEPT
     assert sum(cycle.chosen >= 0 or cycle.jump is not None for cycle in cycles) <= 4
     assert all(cycle.jump is None or (cycle.jump[:4] <= 1e-6).all() for cycle in cycles)
-
-
-@pytest.mark.parametrize(
-    ("receding", "changing", "fewest", "most"), [(0.0, False, 1, 3), (0.2, False, 4, 6), (0.0, True, 6, 6)]
-)
-def test_candidates_are_looked_at_again_only_where_something_has_become_worse(
-    planner, receding, changing, fewest, most
-):
-    """They come to nothing. The target flies as predicted, or it is farther away in each prediction, or the world
-    changes."""
-    looked_at = []
-
-    def plan_batch(*given):
-        plans, (*_, above) = planner.plan_batch(*given), given
-        looked_at.append(above < np.inf)
-        if len(looked_at) == 1:
-            return plans
-        none = np.full_like(plans.reasons, Reason.LIMITS)
-        return replace(plans, reasons=none, trajectory=np.full(len(none), 0 if looked_at[-1] else -1))
-
-    def predict(observations, cycle):
-        return predicted((0.0, 0.5, 0.0), place=(-4.2, (0.05 + receding) * cycle, 1.0))
-
-    asked = planner._replace(plan_batch=plan_batch, update=lambda change, moving=False: asked)
-    change = update_world(with_spare_boxes(load_world("env1"), 1), add_box=([4.0, 4.0, 0.0], [4.5, 4.5, 1.0]))
-    replanner = Replanner(asked, predict, hover(START))
-    seen, cycles = first_observation(0.0, np.array([-4.2, 0.0, 1.0])), []
-    for cycle in range(6):
-        if changing:
-            replanner.update(change)
-        cycles.append(replanner.step(0.1 * cycle, seen))
-    assert cycles[0].status is PlanStatus.INTERCEPT
-    assert fewest <= sum(looked_at) <= most
-
-
-@pytest.mark.parametrize(("promise", "asked"), [(-np.inf, True), (-9.0, False), (0.0, True)])
-def test_nothing_else_is_looked_for_where_no_straight_flight_would_be_sooner(planner, promise, asked):
-    """Beside a committed plan; -inf says that nothing is known of any."""
-    corrected = []
-
-    def plan_batch(*given):
-        return replace(planner.plan_batch(*given), promise=promise)
-
-    def correct(*given):
-        corrected.append(given)
-        return planner.correct(*given)
-
-    replanner = Replanner(planner, Passing(predicted((0.0, 0.5, 0.0)), 0.0), hover(START))
-    seen = first_observation(0.0, np.array([-4.2, 0.0, 1.0]))
-    assert replanner.step(0.0, seen).status is PlanStatus.INTERCEPT
-    replanner.planner = planner._replace(plan_batch=plan_batch, correct=correct)
-    cycle = replanner.step(0.1, seen)
-    assert bool(corrected) == asked
-    assert asked or cycle.status is PlanStatus.KEPT_COMMITTED
-
-
-def test_a_flight_is_corrected_but_not_a_vehicle_that_stands_where_plans_pass(planner):
-    corrected, passing = [], True
-
-    def plan_batch(*given):
-        plans = replace(planner.plan_batch(*given[:-1], -np.inf), promise=np.inf)
-        return plans if passing else replace(plans, reasons=np.full_like(plans.reasons, Reason.LIMITS))
-
-    def correct(*given):
-        corrected.append(given)
-        return planner.correct(*given)
-
-    asked = planner._replace(plan_batch=plan_batch, correct=correct)
-    replanner = Replanner(asked, Passing(predicted((0.0, 0.5, 0.0)), 0.0), hover(START))
-    seen = first_observation(0.0, np.array([-4.2, 0.0, 1.0]))
-    assert replanner.step(0.0, seen).status is PlanStatus.INTERCEPT
-    assert not corrected
-    replanner.step(0.4, seen)
-    assert np.linalg.norm(replanner.reference(np.array([0.45])).vel) > 1.0
-    assert len(corrected) == 1
-    passing = False
-    Replanner(asked, Passing(predicted((0.0, 0.5, 0.0)), 0.0), hover(START)).step(0.0, seen)
-    assert len(corrected) == 2
 
 
 class Turning:
