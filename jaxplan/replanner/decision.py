@@ -52,7 +52,7 @@ APPROACHED = (0.5, 0.9, 1.4, 2.0)
 
 STANDING = 0.3
 """m/s; what is slower than that is not corrected where plans pass: of 153 such cycles the corrections of 5 were sooner,
-by 0.03 s (docs/decisions/0063)."""
+by 0.01 to 0.09 s (docs/decisions/0063)."""
 
 Flights = Plans | Approaches | Corrections | Stops
 """Trajectories that were solved and checked."""

@@ -20,26 +20,15 @@ from jaxplan.spline import FlatState
 from jaxplan.status import Reason
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.clearance import free_distance
-from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import Boxes, make_obstacles
 from jaxplan.world.update import update_world, with_spare_boxes
-from oracles.planner_cases import CONFIG, START, candidates, in_flight
+from oracles.planner_cases import CONFIG, START, candidates
 from tolerances import tolerance
-
-
-@pytest.fixture(scope="module")
-def world():
-    return load_world("env1")
 
 
 @pytest.fixture(scope="module")
 def planner(world):
     return build_planner(CONFIG, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
-
-
-@pytest.fixture(scope="module")
-def moving():
-    return in_flight()
 
 
 def test_usable_plans_keep_every_promise(planner, world, moving):

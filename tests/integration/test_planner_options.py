@@ -21,18 +21,8 @@ from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import load_world
 from jaxplan.world.obstacles import World, aligned_boxes, make_obstacles
 from jaxplan.world.occupancy import fitting_resolution
-from oracles.planner_cases import CONFIG, START, candidates, in_flight
+from oracles.planner_cases import CONFIG, START, candidates
 from tolerances import relative, tolerance
-
-
-@pytest.fixture(scope="module")
-def world():
-    return load_world("env1")
-
-
-@pytest.fixture(scope="module")
-def moving():
-    return in_flight()
 
 
 def test_at_rest_at_the_goal_where_that_is_wanted(world, moving):

@@ -17,18 +17,7 @@ from jaxplan.selection import CheckConfig
 from jaxplan.spline import hover
 from jaxplan.status import Reason
 from jaxplan.vehicle.load import load_vehicle
-from jaxplan.world.load import load_world
-from oracles.planner_cases import CONFIG, START, candidates, in_flight
-
-
-@pytest.fixture(scope="module")
-def world():
-    return load_world("env1")
-
-
-@pytest.fixture(scope="module")
-def moving():
-    return in_flight()
+from oracles.planner_cases import CONFIG, START, candidates
 
 
 def test_once_the_time_is_up_no_more_candidates_are_tried(world, moving):
