@@ -26,6 +26,7 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 import jax
 import pytest
+from compilations import CompilationCounter
 from hypothesis import HealthCheck, settings
 from jaxtyping import install_import_hook
 
@@ -77,18 +78,6 @@ def x64() -> Iterator[None]:
     """64-bit JAX types for one test."""
     with jax.enable_x64(True):
         yield
-
-
-class CompilationCounter:
-    """Counts what XLA compiles; ``count`` can be set back to 0."""
-
-    EVENT = "/jax/core/compile/backend_compile_duration"
-
-    def __init__(self) -> None:
-        self.count = 0
-
-    def __call__(self, event: str, duration: float, **kwargs: object) -> None:
-        self.count += event == self.EVENT
 
 
 @pytest.fixture

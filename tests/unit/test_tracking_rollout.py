@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import CompilationCounter
+from compilations import CompilationCounter
 from scipy.spatial.transform import Rotation
 
 from jaxplan.spline import FlatState, hover

@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from conftest import CompilationCounter
+from compilations import CompilationCounter
 from hypothesis import given, strategies
 
 import jaxplan
