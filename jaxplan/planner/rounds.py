@@ -28,6 +28,9 @@ AT_STAKE = 1.0
 plan gains more (docs/decisions/0047, 0054),"""
 MOST, MOST_IN_FLIGHT = 3, 2
 """and so many at most, the second in fast flight: of 76 further ones none passed (0063)."""
+AMONG_MOVERS = 0.5
+"""s; the same as ``AT_STAKE`` from slow starts where something moves, and as many as that gives: the map holds still
+what will be swept, and more of the best candidates are in vain (0064)."""
 PROMISING = 0.2
 """s; candidates are tried only where the best of them promises to capture so much sooner than a committed plan: what
 won promised more (docs/decisions/0054, 0063)."""
@@ -35,8 +38,12 @@ won promised more (docs/decisions/0054, 0063)."""
 
 def most_rounds(parts: Parts, state: FlatState, above: float) -> float:
     """How many widths of candidates are tried beside a committed plan that is worth ``above`` [s], by capture."""
-    most = MOST_IN_FLIGHT if parts.config.is_fast(state) else MOST
-    return np.inf if above == -np.inf else float(np.clip(np.ceil(-above / AT_STAKE), 1.0, most))
+    if above == -np.inf:
+        return np.inf
+    fast = parts.config.is_fast(state)
+    if parts.moving:
+        return float(max(np.ceil(-above / (AT_STAKE if fast else AMONG_MOVERS)), 1.0))
+    return float(np.clip(np.ceil(-above / AT_STAKE), 1.0, MOST_IN_FLIGHT if fast else MOST))
 
 
 def least_promise(table: Table, above: float) -> float:

@@ -17,6 +17,7 @@ from jaxplan.selection import CheckConfig
 from jaxplan.spline import hover
 from jaxplan.status import Reason
 from jaxplan.vehicle.load import load_vehicle
+from jaxplan.world.update import update_world, with_spare_boxes
 from oracles.planner_cases import CONFIG, START, candidates
 
 
@@ -78,6 +79,24 @@ def test_the_sooner_the_committed_plan_captures_the_fewer_others_are_tried(world
     assert beside.score[tried].min() >= beside.score[wanted & ~tried].max()
     by_eq_9 = strict.plan_batch(moving, candidates(90), None, -100.0)
     assert (by_eq_9.trajectory >= 0).sum() > most * config.width
+
+
+@pytest.mark.parametrize(("captures_in", "fast_from", "most"), [(0.9, 9.0, 2), (1.4, 9.0, 3), (1.4, 0.0, 2)])
+def test_where_something_moves_more_are_tried_from_slow_starts(world, moving, captures_in, fast_from, most):
+    """A round for each half of a second there, and no limit to them; for each second in fast flight."""
+    config = dataclasses.replace(
+        CONFIG, checks=CheckConfig(max_deviation=1e-9), allocate="policy", policy_speed=fast_from
+    )
+    roomy, corner = with_spare_boxes(world, 1), np.asarray(world.bounds)[1]
+    moved = update_world(roomy, move_box=(len(roomy.boxes.center) - 1, (corner - 0.2, corner - 0.1)))
+    still = build_planner(config, world=roomy, vehicle=load_vehicle(), policy=constant_speed_policy())
+    strict = still.update(moved, moving=True)
+    ahead = np.asarray(moving.pos) + 0.3 * np.asarray(moving.vel)
+    given = replace(candidates(90), futures=Futures(times=np.zeros(1), positions=ahead[None, None], weights=np.ones(1)))
+    beside, alone, late = (strict.plan_batch(moving, given, None, above) for above in (-captures_in, -np.inf, -9.0))
+    assert (beside.trajectory >= 0).sum() == most * config.width
+    np.testing.assert_array_equal(late.trajectory >= 0, alone.trajectory >= 0)
+    assert (alone.trajectory >= 0).sum() > 3 * config.width
 
 
 def asked_in(monkeypatch, later):
