@@ -62,11 +62,10 @@ def straight_times(
         behind: how long flights go on behind their goals [s].
     """
     some = np.flatnonzero(weights)
-    motions = np.asarray(motions, float)[:, some]
-    futures = np.ascontiguousarray(np.moveaxis(motions, 1, 0)), np.ascontiguousarray(np.moveaxis(motions, 2, 1))
+    futures = np.ascontiguousarray(np.moveaxis(np.asarray(motions, float)[:, some], 2, 1))
     expected, shares = np.zeros(len(goals)), np.ascontiguousarray(weights[some], float)
     at, far, begin, ends, when = (np.array(part, float, order="C") for part in (times, reach, start, goals, arrival))
-    scratch = np.zeros((len(times), 3)), np.zeros(len(some), np.int64)
+    scratch = np.zeros((len(times), 3)), np.zeros(len(some), np.int64), np.zeros((len(times), len(some)))
     _compiled_straight()(at, futures, shares, far, begin, ends, when, (behind, float(return_speed)), scratch, expected)
     return expected
 
@@ -129,17 +128,17 @@ class _Straight(Protocol):
     def __call__(
         self,
         times: np.ndarray,
-        futures: tuple[np.ndarray, np.ndarray],
+        futures: np.ndarray,
         weights: np.ndarray,
         reach: np.ndarray,
         start: np.ndarray,
         goals: np.ndarray,
         arrival: np.ndarray,
         settings: tuple[float, float],
-        scratch: tuple[np.ndarray, np.ndarray],
+        scratch: tuple[np.ndarray, np.ndarray, np.ndarray],
         expected: np.ndarray,
     ) -> None:
-        """Write the expected times; the futures are there (n, u, 3) and (u, 3, n). ``scratch`` is overwritten."""
+        """Write the expected times; the futures are (u, 3, n). ``scratch`` is overwritten."""
 
 
 @functools.cache
@@ -151,7 +150,7 @@ def _compiled_straight() -> _Straight:
     def entry(times, futures, weights, reach, start, goals, arrival, settings, scratch, expected):
         _ = version
         behind, return_speed = settings
-        way, first = scratch
+        way, first, apart = scratch
         for k in range(len(goals)):
             for u in range(len(times)):
                 since = min(times[u], arrival[k] + behind)
@@ -159,25 +158,36 @@ def _compiled_straight() -> _Straight:
                 for axis in range(3):
                     missed = goals[k, axis] - start[0, axis] - start[1, axis] * arrival[k]
                     way[u, axis] = start[0, axis] + since * start[1, axis] + share * share * missed
+            for u in range(len(way)):
+                _write_squared(futures[u], way[u], apart[u])
             for n in range(len(first)):
                 first[n] = len(way)
             for u in range(len(way) - 1, -1, -1):
-                _mark_within(futures[1][u], reach[u], way[u], u, first)
+                _mark_within(apart[u], reach[u] * reach[u], u, first)
             for n in range(len(weights)):
-                expected[k] += weights[n] * _captured_at(times, futures[0][n], reach, way, first[n], return_speed)
+                before, there = apart[max(first[n] - 1, 0), n], apart[min(first[n], len(way) - 1), n]
+                expected[k] += weights[n] * _captured_at(times, reach, first[n], before, there, return_speed)
 
     return entry  # type: ignore[no-any-return]
 
 
 @inner
 @no_type_check
-def _mark_within(futures, reach, place, u, first):
-    """Write the instant ``u`` for all futures that are within reach then: many at a time."""
-    x, y, z, far = place[0], place[1], place[2], reach * reach
+def _write_squared(futures, place, apart):
+    """Write how far all futures are from a place, squared [m^2]: many at a time."""
+    x, y, z = place[0], place[1], place[2]
     along, across, up = futures[0], futures[1], futures[2]
-    for n in range(len(first)):
+    for n in range(len(apart)):
         a, b, c = along[n] - x, across[n] - y, up[n] - z
-        if a * a + b * b + c * c <= far:  # a conditional expression is not made one for many at a time
+        apart[n] = a * a + b * b + c * c
+
+
+@inner
+@no_type_check
+def _mark_within(apart, far, u, first):
+    """Write the instant ``u`` for all futures that are no farther then: many at a time."""
+    for n in range(len(first)):
+        if apart[n] <= far:  # a conditional expression is not made one for many at a time
             first[n] = u
 
 
@@ -185,24 +195,29 @@ def _mark_within(futures, reach, place, u, first):
 @no_type_check
 def _captured(times, future, reach, way, return_speed):
     """When one future is captured [s]."""
+    before = there = 0.0
     for u in range(len(times)):
-        if _squared(future, way, u) <= reach[u] * reach[u]:
-            return _captured_at(times, future, reach, way, u, return_speed)
-    return _captured_at(times, future, reach, way, len(times), return_speed)
+        there = _squared(future, way, u)
+        if there <= reach[u] * reach[u]:
+            return _captured_at(times, reach, u, before, there, return_speed)
+        before = there
+    return _captured_at(times, reach, len(times), before, there, return_speed)
 
 
 @inner
 @no_type_check
-def _captured_at(times, future, reach, way, first, return_speed):
-    """When one future is captured: between the ``first`` instant and the one before, or after the last [s]."""
+def _captured_at(times, reach, first, before, there, return_speed):
+    """When one future is captured [s]: between the ``first`` instant within reach and the one before, or after the last.
+
+    It is ``there`` away at the first, squared [m^2], and ``before`` at the one before it.
+    """
     last = len(times) - 1
     if first > last:
-        return times[last] + (math.sqrt(_squared(future, way, last)) - reach[last]) / return_speed
+        return times[last] + (math.sqrt(before) - reach[last]) / return_speed
     if first == 0:
         return max(times[0], 0.0)
-    before = math.sqrt(_squared(future, way, first - 1)) - reach[first - 1]
-    there = math.sqrt(_squared(future, way, first)) - reach[first]
-    share = before / max(before - there, 1e-9)
+    missed, within = math.sqrt(before) - reach[first - 1], math.sqrt(there) - reach[first]
+    share = missed / max(missed - within, 1e-9)
     return max(times[first] - (times[1] - times[0]) * (1.0 - share), 0.0)
 
 

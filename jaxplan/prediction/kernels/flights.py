@@ -267,14 +267,20 @@ def _noise(motion, mode, speed, fading):
 def _fade(offsets, fading, responses):
     """Write what a unit of each cosine has moved a target whose acceleration fades, by each offset."""
     tables, waves, whole = responses
-    horizon = offsets[len(offsets) - 1]
-    for c in range(COSINES):
-        total, g = 0.0, 0
-        for s in range(len(offsets)):
-            while g < GRID and offsets[s] - horizon * ((g + 0.5) / GRID) > 0.0:
-                total += math.exp(min(horizon * ((g + 0.5) / GRID) / fading, LARGEST_EXPONENT)) * waves[g, c]
-                g += 1
-            left = math.exp(-offsets[s] / fading) * total
+    horizon, g = offsets[len(offsets) - 1], 0
+    first = second = third = 0.0
+    for s in range(len(offsets)):
+        while g < GRID and offsets[s] - horizon * ((g + 0.5) / GRID) > 0.0:
+            grown = math.exp(min(horizon * ((g + 0.5) / GRID) / fading, LARGEST_EXPONENT))
+            first, second, third = (
+                first + grown * waves[g, 0],
+                second + grown * waves[g, 1],
+                third + grown * waves[g, 2],
+            )
+            g += 1
+        shrunk = math.exp(-offsets[s] / fading)
+        for c in range(COSINES):
+            left = shrunk * (first if c == 0 else second if c == 1 else third)
             tables[FADING, s, c] = fading * (tables[STRAIGHT, s, c] - fading * (whole[s, c] - left))
 
 
