@@ -14,7 +14,7 @@ from jaxplan.replanner.incumbent import Incumbent
 from jaxplan.replanner.passing import Passing
 from jaxplan.replanner.records import CommittedPlan
 from jaxplan.spline import FlatState, PiecewisePolynomial
-from jaxplan.status import PlanStatus
+from jaxplan.status import Note, PlanStatus
 
 FAR, MOVED = 2.0, 0.5
 """s: plans that come nearest to the target later than that are moved by at most so much [m] to meet it, for a
@@ -81,6 +81,11 @@ class Known(NamedTuple):
     def since(self) -> float:
         """Time of the committed plan's own [s] at the start."""
         return self.start.takeover - self.committed.start_time
+
+    @property
+    def is_searching(self) -> bool:
+        """Whether the candidates are a place to look for the target from."""
+        return bool(int(self.candidates.note) & Note.SEARCHING)
 
     def is_passed_by(self, flown: Rollouts) -> bool:
         """Whether the model, along a plan, is not hit by what moves."""

@@ -10,7 +10,7 @@ from jaxplan.records import replace
 from jaxplan.replanner import Replanner
 from jaxplan.replanner.decision import LOOKED_AT
 from jaxplan.spline import hover
-from jaxplan.status import PlanStatus, Reason
+from jaxplan.status import Note, PlanStatus, Reason
 from jaxplan.vehicle.load import load_vehicle
 from jaxplan.world.load import load_world
 from jaxplan.world.update import update_world, with_spare_boxes
@@ -80,6 +80,7 @@ def test_nothing_else_is_looked_for_where_no_straight_flight_would_be_sooner(pla
 
 
 def test_a_flight_is_corrected_but_not_a_vehicle_that_stands_where_plans_pass(planner):
+    """Unless it goes looking for a target that nobody sees."""
     corrected, passing = [], True
 
     def plan_batch(*given):
@@ -101,6 +102,9 @@ def test_a_flight_is_corrected_but_not_a_vehicle_that_stands_where_plans_pass(pl
     passing = False
     Replanner(asked, Passing(predicted((0.0, 0.5, 0.0)), 0.0), hover(START)).step(0.0, seen)
     assert len(corrected) == 2
+    passing, searching = True, replace(predicted((0.0, 0.5, 0.0)), note=int(Note.SEARCHING))
+    Replanner(asked, Passing(searching, 0.0), hover(START)).step(0.0, seen)
+    assert len(corrected) == 3
 
 
 @pytest.mark.parametrize("refusing", [1, 2, 9])

@@ -207,7 +207,7 @@ def _captured(times, future, reach, way, return_speed):
 @inner
 @no_type_check
 def _captured_at(times, reach, first, before, there, return_speed):
-    """When one future is captured [s]: between the ``first`` instant within reach and the one before, or after the last.
+    """When one future is captured [s]: between the ``first`` instant within reach and the one before, or behind all.
 
     It is ``there`` away at the first, squared [m^2], and ``before`` at the one before it.
     """
