@@ -16,6 +16,9 @@ from jaxplan.replanner.records import CommittedPlan
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import Note, PlanStatus
 
+Flights = Plans | Approaches | Corrections | Stops
+"""Trajectories that were solved and checked."""
+
 FAR, MOVED = 2.0, 0.5
 """s: plans that come nearest to the target later than that are moved by at most so much [m] to meet it, for a
 refinement to begin (docs/decisions/0056)."""
@@ -92,9 +95,7 @@ class Known(NamedTuple):
         return self.passing is None or bool(self.passing.flown(flown)[0] >= self.passing.least)
 
 
-def chosen_from(
-    among: Plans | Approaches | Corrections | Stops, place: int, slowdown: float, candidate: int = -1
-) -> Chosen:
+def chosen_from(among: Flights, place: int, slowdown: float, candidate: int = -1) -> Chosen:
     """One of the trajectories of a cycle."""
     spline, time = among.spline(place), float(among.arrival_times[place])
     return Chosen(spline, among.goals[place], time, slowdown, among.probability(place), candidate)
@@ -106,7 +107,7 @@ def chosen_refined(refined: Refined, seed: Seed) -> Chosen:
     return Chosen(refined.spline, refined.goal, refined.arrival_time, 1.0, np.nan, sooner=sooner)
 
 
-def seed_of_plan(among: Plans | Approaches, place: int, candidates: Candidates) -> Seed:
+def seed_of_plan(among: Flights, place: int, candidates: Candidates) -> Seed:
     """A trajectory just planned; an approach is as late at its goal as it is."""
     late = float(among.lateness[place]) if isinstance(among, Approaches) else 0.0
     likelihood = float(np.asarray(candidates.likelihood)[place]) if isinstance(among, Plans) else 0.0

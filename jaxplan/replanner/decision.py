@@ -6,6 +6,7 @@ others, what is chosen is made sooner where there is time, and nothing is chosen
 """
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -14,13 +15,11 @@ from jaxtyping import Float, Int
 from jaxplan.batching import meanwhile
 from jaxplan.planner import (
     Approaches,
-    Corrections,
     Planner,
     Plans,
     Prospect,
     Refined,
     Seed,
-    Stops,
     Timer,
     capture_time,
     capture_times,
@@ -28,6 +27,7 @@ from jaxplan.planner import (
 )
 from jaxplan.replanner.choice import (
     Chosen,
+    Flights,
     Known,
     Outcome,
     chosen_from,
@@ -54,9 +54,6 @@ STANDING = 0.3
 """m/s; what is slower than that is not corrected where plans pass: of 153 such cycles the corrections of 5 were sooner,
 by 0.01 to 0.09 s (docs/decisions/0063). On the way to a place to look from it is: half of them are sooner (0064)."""
 
-Flights = Plans | Approaches | Corrections | Stops
-"""Trajectories that were solved and checked."""
-
 
 class _Rival(NamedTuple):
     """What may be committed, before the last look at it."""
@@ -65,8 +62,8 @@ class _Rival(NamedTuple):
     """What it is worth [s]."""
     status: PlanStatus
     chosen: Chosen
-    seed: Seed | None
-    """From which a refinement begins by eq. 9; None by capture, where it begins from the trajectory."""
+    seed: Callable[[], Seed]
+    """From which a refinement begins."""
 
 
 class Memory(NamedTuple):
@@ -204,28 +201,26 @@ class Decision:
         for index in usable[np.argsort(-score[usable], kind="stable")][:LOOKED_AT].tolist():
             slowdown = float(among.alpha[index]) if isinstance(among, Plans | Approaches) else np.nan
             chosen = chosen_from(among, index, slowdown, index if isinstance(among, Plans) else -1)
-            seed = None
-            if self._known.prospect is None and isinstance(among, Plans | Approaches):
-                seed = seed_of_plan(among, index, self._known.candidates)
-            rivals.append(_Rival(float(score[index]), status, chosen, seed))
+            rivals.append(_Rival(float(score[index]), status, chosen, functools.partial(self._seed, among, index)))
         return rivals
+
+    def _seed(self, among: Flights, index: int) -> Seed:
+        """One of the trajectories, to be made sooner; by capture where the target is expected, not for its own goal."""
+        if self._known.prospect is None:
+            return seed_of_plan(among, index, self._known.candidates)
+        return seed_towards(self._known.prospect, among.spline(index), 0.0, self._config.reach)
 
     def _first(self, rivals: list[_Rival]) -> Outcome | None:
         """The first of them that passes the last look, or what refining it gives.
 
         The first is looked at while it is refined: one is hardly ever refused.
         """
-        prospect = self._known.prospect
         for number, rival in enumerate(rivals):
-            spline, seed = rival.chosen.spline, rival.seed
-            look = meanwhile(functools.partial(self._passes, spline))
+            look = meanwhile(functools.partial(self._passes, rival.chosen.spline))
             if number > 0 and not look():
                 self.refused += 1
                 continue
-            if prospect is not None:
-                seed = seed_towards(prospect, spline, 0.0, self._config.reach)
-            assert seed is not None, "by eq. 9 every rival has one"
-            refined = self._refined(seed, rival.score, new=prospect is not None)
+            refined = self._refined(rival.seed(), rival.score, new=self._known.prospect is not None)
             if refined is not None:
                 return self._status(refined), refined
             if look():
