@@ -22,7 +22,7 @@ from jaxplan.world.update import with_spare_boxes
 
 from .evasion import WAYS, Agility, Evader
 from .flights import long_flight, recorded_flight, room_of_boxes
-from .movers import MOST, Mover, Traffic, traffic_in
+from .movers import MOST, TURNING, Mover, Traffic, traffic_in
 from .sight import Sight, SightConfig
 
 LEVELS = (1, 2, 3)
@@ -187,7 +187,7 @@ def _moving_seen(level: int, number: int, seed: int, recordings: tuple[str, ...]
 
 def _moving_abrupt(level: int, number: int, seed: int, recordings: tuple[str, ...]) -> Case:
     plain, movers = _among_movers(level, number, seed, abrupt=True)
-    return plain._replace(traffic=Traffic(movers, False, BOX_NOISE, seed))
+    return plain._replace(traffic=Traffic(movers, False, BOX_NOISE, seed, TURNING))
 
 
 def _among_movers(level: int, number: int, seed: int, abrupt: bool = False) -> tuple[Case, tuple[Mover, ...]]:

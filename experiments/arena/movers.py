@@ -87,6 +87,8 @@ class Traffic(NamedTuple):
     """Standard deviation of the places that are seen, along each axis [m]."""
     seed: int = 0
     """Of that."""
+    straying: float = 8.0
+    """Acceleration [m/s^2] beside what is foreseen that is to be survived, where their ways are not told."""
 
     def distances(self, times: Float[np.ndarray, "n"], points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
         """From each point [m, world] to the nearest of them at that point's time [s]; 0 inside."""
@@ -98,7 +100,7 @@ class Traffic(NamedTuple):
         if self.known:
             places = np.stack([mover.positions(now + INSTANTS) for mover in self.movers])
             return Ways(now + INSTANTS, places - half[:, None], places + half[:, None], keep)
-        foresight = Foresight(half, noise=max(self.noise, UNCERTAIN))
+        foresight = Foresight(half, max(self.noise, UNCERTAIN), self.straying)
         for time in now - SEEN * np.arange(round(MEMORY / SEEN) + 1)[::-1]:
             foresight.see(time, self._seen(time))
         return foresight.ways(now, INSTANTS, keep)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from experiments.arena.families import LEVELS, TRAFFIC, case
-from experiments.arena.movers import TURNING, Mover, Traffic
+from experiments.arena.movers import STRAY, TURNING, Mover, Traffic
+from jaxplan.replanner.foresight import REACTION
 from jaxplan.world.host_distance import host_free_distance
 from tolerances import tolerance
 
@@ -30,6 +31,9 @@ def test_what_moves_keeps_clear_of_walls_and_of_the_target(family: str) -> None:
     assert known is not None
     assert seen is not None
     np.testing.assert_array_equal([one.middle for one in known.movers], [one.middle for one in seen.movers])
+    abrupt = case("moving-abrupt", 2, 1, 0).traffic
+    assert abrupt is not None
+    assert abrupt.straying == TURNING > seen.straying
 
 
 def test_ways_are_those_that_are_flown() -> None:
@@ -43,6 +47,21 @@ def test_ways_are_those_that_are_flown() -> None:
             way = mover.positions(ways.times[soon])
             assert (way - half >= ways.lower[0, soon] - 5e-3).all()
             assert (way + half <= ways.upper[0, soon] + 5e-3).all()
+
+
+@pytest.mark.parametrize(("straying", "enough"), [(TURNING, True), (0.8 * TURNING, False)])
+def test_within_a_reaction_a_box_that_turns_around_comes_no_nearer_than_plans_keep(
+    straying: float, enough: bool
+) -> None:
+    """If what it can do is told; that it turns is seen one sighting late."""
+    beyond = []
+    for phase, now in itertools.product(np.arange(0.0, 6.0, 1.0), np.arange(0.6, 5.0, 0.05)):
+        mover = Mover(np.array([0.2, 0.3, 0.4]), np.zeros(3), np.array([1.5, 0.5, 0.1]), 1.9, phase, True)
+        ways = Traffic((mover,), False, straying=straying).ways(now, 0.3)
+        soon = ways.times <= now + REACTION
+        way = mover.positions(ways.times[soon])
+        beyond += [ways.lower[0, soon] - (way - mover.half), way + mover.half - ways.upper[0, soon]]
+    assert (max(part.max() for part in beyond) < STRAY) == enough
 
 
 def test_a_box_that_turns_around_at_once_has_one_speed_and_one_acceleration() -> None:
