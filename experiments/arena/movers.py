@@ -13,7 +13,7 @@ from jaxplan.errors import InputError
 from jaxplan.io.targets import Target
 from jaxplan.prediction.observations import Observations
 from jaxplan.replanner import CommittedPlan, Cycle, Foresight, Measured, MovingBoxes, Replanner, Ways
-from jaxplan.replanner.foresight import MEMORY
+from jaxplan.replanner.foresight import MEMORY, STRAYING
 from jaxplan.spline import FlatState
 from jaxplan.world.host_distance import host_free_distance
 from jaxplan.world.obstacles import World
@@ -87,7 +87,7 @@ class Traffic(NamedTuple):
     """Standard deviation of the places that are seen, along each axis [m]."""
     seed: int = 0
     """Of that."""
-    straying: float = 8.0
+    straying: float = STRAYING
     """Acceleration [m/s^2] beside what is foreseen that is to be survived, where their ways are not told."""
 
     def distances(self, times: Float[np.ndarray, "n"], points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:

@@ -32,6 +32,8 @@ AGED = 0.2
 REACTION = 0.3
 """s in which a vehicle does something about what it did not foresee: a latency, a cycle, turning the thrust. So long a
 box is taken to be able to stray."""
+STRAYING = 8.0
+"""m/s^2 that boxes are taken to accelerate beside what is foreseen, where nothing else is told (arbitrary)."""
 AT_ONCE = 1e-3
 """s within which two sightings are one."""
 
@@ -42,7 +44,7 @@ _PRIOR = np.stack([np.diag([1e-4, SPEED**-2, acceleration**-2]) for acceleration
 class Foresight:
     """Tracks boxes of known sides and says where they will be when, for ``Replanner.expect``."""
 
-    def __init__(self, half: Annotated[ArrayLike, "b 3"], noise: float = 0.01, straying: float = 8.0) -> None:
+    def __init__(self, half: Annotated[ArrayLike, "b 3"], noise: float = 0.01, straying: float = STRAYING) -> None:
         """Nothing has been seen yet.
 
         Args:
