@@ -4,7 +4,8 @@ python -m benchmarks.bench_prediction [--world env1] [--repeats 500] [--json FIL
 
 The interception paper reports 18.7 ms for its prediction (mean, on a Titan Xp). ``compiled`` is the one program that
 conditions, draws and scores; ``predictor`` the whole call from observations to candidates, with random numbers;
-``particles``, ``imm`` and ``fused`` whole calls of the predictors of these names, which know the room.
+``particles``, ``imm``, ``fused``, ``mdn`` and ``ensemble`` whole calls of the predictors of these names, which know the
+room.
 """
 
 import argparse
@@ -84,7 +85,8 @@ def measure(world: str, repeats: int) -> list[dict[str, Any]]:
     times = 2.0 + config.dt * np.arange(config.observations)
     seen = Observations(times=times, positions=target.position(times))
     predictor = build_predictor("gmm", config, target.position, model=model)
-    whole = {name: build_predictor(name, config, model=model, world=room) for name in ("particles", "imm", "fused")}
+    names = ("particles", "imm", "fused", "mdn", "ensemble")
+    whole = {name: build_predictor(name, config, model=model, world=room) for name in names}
     prepared = jax.device_put(model.conditional())
     observed, newest = (
         window_coordinates(seen.positions, config.observations, model.bounds is not None),

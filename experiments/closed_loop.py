@@ -42,6 +42,8 @@ PREDICTORS = (
     "constant-velocity",
     "imm",
     "fused",
+    "mdn",
+    "ensemble",
 )
 """``noisy-S`` has the standard deviation S [m] after one step; any S will do."""
 TIME_WEIGHT = 7.5e4

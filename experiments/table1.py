@@ -29,7 +29,8 @@ SPEEDS = tuple(float(speed) for speed in np.round(np.linspace(0.5, 5.5, 10), 4))
 (docs/decisions/0012-experiments.md)."""
 DEPARTURES = tuple(float(time) for time in np.round(np.linspace(0.5, 2.5, 10), 4))
 """s."""
-COMPARED = tuple(name for name in PREDICTORS if name not in ("imm", "fused"))
+FOR_OTHERS = ("imm", "fused", "mdn", "ensemble")
+COMPARED = tuple(name for name in PREDICTORS if name not in FOR_OTHERS)
 """Predictors of the presets."""
 
 
@@ -42,8 +43,8 @@ class Config:
     nothing."""
 
     predictors: tuple[str, ...] = COMPARED
-    """What is known of the target's future; noisy-S has the standard deviation S [m] after one step. imm and fused are
-    for targets that are seen badly: name them."""
+    """What is known of the target's future; noisy-S has the standard deviation S [m] after one step. imm, fused,
+    mdn and ensemble are for targets that are seen badly or that nobody knows: name them."""
 
     worlds: tuple[str, ...] = ENVIRONMENTS
     """Stored worlds."""

@@ -8,11 +8,23 @@ from jaxplan.errors import InputError
 from jaxplan.validation import checks_itself
 
 Predictor = Literal[
-    "none", "ground-truth", "noisy", "constant-velocity", "constant-acceleration", "gmm", "particles", "imm", "fused"
+    "none",
+    "ground-truth",
+    "noisy",
+    "constant-velocity",
+    "constant-acceleration",
+    "gmm",
+    "particles",
+    "imm",
+    "fused",
+    "mdn",
+    "ensemble",
 ]
 PREDICTORS: tuple[Predictor, ...] = get_args(Predictor)
 WITH_MODEL = ("gmm", "particles", "fused")
 """Those that take a target model."""
+WITH_NETWORK = ("mdn", "ensemble")
+"""Those that take a network."""
 Planner = Literal["no-policy", "pretrained", "mfrl"]
 PLANNERS: tuple[Planner, ...] = get_args(Planner)
 Meet = Literal["pass", "rest", "match"]
@@ -67,8 +79,8 @@ class InterceptConfig:
     (ground-truth), which needs a target that is known beforehand."""
 
     target_model: str | None = None
-    """A mixture for --predictor fused, gmm or particles (.npy, see jaxplan train gmm). Default: the world's own, or the
-    generic one."""
+    """A mixture for --predictor fused, gmm or particles (.npy, see jaxplan train gmm), or a network for mdn or ensemble
+    (.npz, see jaxplan train mdn). Default: the world's own mixture or the generic one; the network for any room."""
 
     vehicle: str = "mfrl"
     """A preset (jaxplan vehicle lists them), or a file: TOML of the presets' form, or MJCF (.xml)."""
@@ -117,7 +129,8 @@ class InterceptConfig:
 
     selection: Selection = "capture"
     """What plans are compared by: capture is the expected time until one captures the target, with --meet pass where
-    the predictor knows its motions as a whole (particles, imm, fused); paper is eq. 9 of the paper, as for others."""
+    the predictor knows its motions as a whole (particles, imm, fused, mdn, ensemble); paper is eq. 9 of the paper, as
+    for others."""
 
     speed: float | None = None
     """The target's maximum speed [m/s]. Default: 1 for a stored target, as recorded for a flight."""
@@ -147,10 +160,9 @@ class InterceptConfig:
         _require_choice("predictor", self.predictor, PREDICTORS)
         if self.target_model is not None:
             _require_name("target-model", self.target_model)
-            if self.predictor not in WITH_MODEL:
-                raise _refusal(
-                    "target-model", self.target_model, f"none unless the predictor is {' or '.join(WITH_MODEL)}"
-                )
+            takers = (*WITH_MODEL, *WITH_NETWORK)
+            if self.predictor not in takers:
+                raise _refusal("target-model", self.target_model, f"none unless the predictor is {' or '.join(takers)}")
         _require_name("vehicle", self.vehicle)
         if self.placing is not None:
             _require_name("placing", self.placing)

@@ -22,6 +22,7 @@ SHIPPED = {
     "policy": _PACKAGE / "policy" / "weights",
     "placing policy": _PACKAGE / "policy" / "placing_weights",
     "classifier": _PACKAGE / "feasibility" / "weights",
+    "flight network": _PACKAGE / "prediction" / "mdn" / "weights",
 }
 """Where the weights are that come with the library, by their kind."""
 

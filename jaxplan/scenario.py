@@ -21,6 +21,7 @@ from jaxplan.policy.checkpoint import load_policy, policy_vehicle
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.policy.placing_checkpoint import load_placing
 from jaxplan.policy.protocol import Policy
+from jaxplan.prediction.mdn.checkpoint import load_network
 from jaxplan.prediction.predictors import PREDICTORS, build_predictor
 from jaxplan.prediction.protocol import PredictionConfig, Predictor, StepPredictor
 from jaxplan.prediction.stream import StreamConfig
@@ -196,12 +197,14 @@ def predictor_for(config: InterceptConfig, world: World, target: Target | None) 
 
     Without a target only those that do not know the truth can be built; ``InputError`` for the others.
     """
-    prediction, model = PredictionConfig.for_world(world), None
-    if PREDICTORS[config.predictor].learned:
-        own = config.target_model
+    prediction, model, network = PredictionConfig.for_world(world), None, None
+    own, kind = config.target_model, PREDICTORS[config.predictor]
+    if kind.learned:
         model = shipped_model(config.world, prediction.dt) if own is None else load_model(own)
+    if kind.network and own is not None:
+        network = load_network(own)
     truth = None if target is None else target.position
-    return build_predictor(config.predictor, prediction, truth, config.seed, model, world)
+    return build_predictor(config.predictor, prediction, truth, config.seed, model, world, network)
 
 
 def distance_in(world: World) -> DistanceFunction:

@@ -18,6 +18,7 @@ COMMANDS = {
     "courses": ("train_placing", "Find ways through random rooms, for train placing; a run that was cut off goes on."),
     "placing": ("train_placing", "Train the policy that places waypoints and times; a run that was cut off goes on."),
     "gmm": ("train_gmm", "Fit a Gaussian mixture to windows of random minimum-snap flights, for --predictor gmm."),
+    "mdn": ("train_mdn", "Train the network for --predictor mdn; a run that was cut off goes on."),
 }
 
 train = App(name="train", help="Learn from simulated data what planning needs.", default_parameter=SEVERAL)

@@ -12,9 +12,11 @@ from jaxtyping import Array, Float
 
 from jaxplan.errors import InputError
 from jaxplan.precision import in_float64
-from jaxplan.prediction.fusion import fused_proposer
+from jaxplan.prediction.fusion import fused_proposer, learned_mixture
 from jaxplan.prediction.imm_flights import imm_proposer
 from jaxplan.prediction.kinematic import constant_acceleration, constant_velocity
+from jaxplan.prediction.mdn.checkpoint import TrainedNetwork, load_network
+from jaxplan.prediction.mdn.flights import learned_network, mdn_proposer
 from jaxplan.prediction.mixture import Prediction, density_terms, draw, draw_randoms, log_density
 from jaxplan.prediction.mixture_predictor import mixture_proposer
 from jaxplan.prediction.observations import Observations
@@ -42,6 +44,8 @@ class Sources(NamedTuple):
     """A mixture of how targets move; a shipped one where it is None."""
     world: World | None = None
     """The room, to which the model must belong; None where it is unknown."""
+    trained: TrainedNetwork | None = None
+    """A network that foretells flights; the shipped one where it is None."""
 
     def motion(self) -> Trajectory:
         """The target's real motion; InputError where it was not given."""
@@ -57,6 +61,10 @@ class Sources(NamedTuple):
         if self.model is not None:
             return self.model
         return shipped_model("" if self.world is None else self.world.name, dt)
+
+    def network(self) -> TrainedNetwork:
+        """The network that was given, or the shipped one."""
+        return load_network() if self.trained is None else self.trained
 
 
 @runtime_checkable
@@ -75,6 +83,8 @@ class PredictorKind(NamedTuple):
     """Proposes a batch of goals for every step; the others propose one."""
     learned: bool = False
     """Draws from a target model."""
+    network: bool = False
+    """Asks a network."""
 
 
 def build_predictor(
@@ -84,6 +94,7 @@ def build_predictor(
     seed: int = 0,
     model: TargetModel | None = None,
     world: World | None = None,
+    network: TrainedNetwork | None = None,
 ) -> StepPredictor:
     """The predictor called ``name``.
 
@@ -95,13 +106,14 @@ def build_predictor(
         model: the mixture for ``gmm``; its windows must be those of ``config``, its room that of ``world`` if given.
             The shipped one of that room, or the generic one, when omitted.
         world: the room.
+        network: for ``mdn`` and ``ensemble``; the shipped one when omitted.
 
     Raises:
         InputError: ``name`` is not one of ``PREDICTORS``, what it needs is missing, or the model does not fit.
     """
     if name not in PREDICTORS:
         raise InputError(f"predictor: unknown name {name!r}, want one of {', '.join(PREDICTORS)}")
-    return StepPredictor(config, seed, PREDICTORS[name].build(config, Sources(truth, model, world)))
+    return StepPredictor(config, seed, PREDICTORS[name].build(config, Sources(truth, model, world, network)))
 
 
 def _none(config: PredictionConfig, sources: Sources) -> Proposer:
@@ -172,7 +184,17 @@ def _imm(config: PredictionConfig, sources: Sources) -> Proposer:
 
 def _fused(config: PredictionConfig, sources: Sources) -> Proposer:
     """Flights of the mixture and of the filter, as many of each as they have deserved."""
-    return fused_proposer(config, sources.mixture(config.dt), sources.world)
+    return fused_proposer(config, learned_mixture(config, sources.mixture(config.dt), sources.world), sources.world)
+
+
+def _mdn(config: PredictionConfig, sources: Sources) -> Proposer:
+    """Where a network says that is shown the room, on flights that hit nothing."""
+    return mdn_proposer(config, sources.network(), sources.world)
+
+
+def _ensemble(config: PredictionConfig, sources: Sources) -> Proposer:
+    """Flights of the network and of the filter, as many of each as they have deserved."""
+    return fused_proposer(config, learned_network(config, sources.network(), sources.world), sources.world)
 
 
 PREDICTORS: Mapping[str, PredictorKind] = {
@@ -185,6 +207,8 @@ PREDICTORS: Mapping[str, PredictorKind] = {
     "particles": PredictorKind(_particles, sampling=True, learned=True),
     "imm": PredictorKind(_imm, sampling=True),
     "fused": PredictorKind(_fused, sampling=True, learned=True),
+    "mdn": PredictorKind(_mdn, sampling=True, network=True),
+    "ensemble": PredictorKind(_ensemble, sampling=True, network=True),
 }
 """By the name that ``--predictor`` takes, in the order of ``jaxplan.config.PREDICTORS``."""
 

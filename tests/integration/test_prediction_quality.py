@@ -55,7 +55,7 @@ def test_the_table_and_the_picture(tmp_path):
 def test_the_benchmark_runs_and_compiles_nothing_after_the_first_call(tmp_path, capsys):
     bench_prediction.main(["--repeats", "3", "--json", str(tmp_path / "rows.json")])
     rows = json.loads((tmp_path / "rows.json").read_text())["rows"]
-    ways = ("compiled", "predictor", "scipy", "fused", "imm", "particles")
+    ways = ("compiled", "predictor", "scipy", "fused", "imm", "particles", "mdn", "ensemble")
     assert {row["way"]: row["compilations"] for row in rows} == dict.fromkeys(ways, 0)
     assert "predictor" in capsys.readouterr().out
 

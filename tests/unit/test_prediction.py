@@ -16,7 +16,7 @@ from jaxplan.status import Note, Reason
 from jaxplan.world.load import load_world
 from tolerances import tolerance
 
-UNLEARNED = [name for name, kind in PREDICTORS.items() if not kind.learned]
+UNLEARNED = [name for name, kind in PREDICTORS.items() if not (kind.learned or kind.network)]
 CONFIG = PredictionConfig(steps=6, dt=0.2, batch=500, sigma=0.05)
 
 
@@ -184,6 +184,9 @@ def test_what_a_predictor_needs_to_know_must_be_given(name):
             build_predictor(name, PredictionConfig())
     if kind.learned:
         with pytest.raises(InputError, match="train gmm"):
+            build_predictor(name, PredictionConfig(dt=0.123))
+    if kind.network:
+        with pytest.raises(InputError, match=r"dt = 0.123, want 0.1 or 0.2"):
             build_predictor(name, PredictionConfig(dt=0.123))
     known = {} if kind.learned else {"truth": truth}
     assert len(build_predictor(name, PredictionConfig(), **known)(watch(), 0).goals) == (400 if kind.sampling else 20)
