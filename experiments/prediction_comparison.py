@@ -39,13 +39,24 @@ from jaxplan.world.obstacles import World
 
 from . import SUMMARIES
 from .figures.prediction import PredictionPanel, draw_predictions
-from .prediction_windows import FLIGHT_INTERVAL, SPEEDS, as_seen, fast_windows, recorded_windows, stored_windows
+from .prediction_windows import (
+    FLIGHT_INTERVAL,
+    SPEEDS,
+    as_seen,
+    fast_windows,
+    new_room,
+    recorded_windows,
+    room_windows,
+    stored_windows,
+)
 
 AHEAD = (0.4, 1.0, 2.0)
 """Seconds ahead at which the errors are told."""
 MOMENTS = {"env1": ("env1-05", 2.5, 9.4), "env2": ("env2-07", 3.0, 17.8), "env3": ("env3-06", 3.0, 24.8)}
 """Target, maximum speed [m/s] and time [s] that the picture shows."""
 SHOWN = ("constant-velocity", "ground-truth", "noisy", "gmm", "particles", "fused")
+NEW_ROOM = "new room "
+"""And a number: a column."""
 PADDING = 0.5
 """As in ``PlannerConfig``: clearance of goals [m]."""
 
@@ -152,6 +163,9 @@ class Config:
     fast: tuple[float, ...] = (4.0, 6.0, 8.0)
     """Maximum speeds [m/s] of new flights through the first two environments; none: stored targets only."""
 
+    rooms: int = 0
+    """Random rooms that nobody trained in, with new flights at up to 8 m/s."""
+
     noises: tuple[float, ...] = (0.0,)
     """Standard deviations [m] of the positions seen."""
 
@@ -172,15 +186,18 @@ class Config:
             raise InputError(f"{have}: want standard deviations of 0 m or more, and a share below 1")
         if not all(0.0 < speed <= 50.0 for speed in self.fast):
             raise InputError(f"--fast {' '.join(map(str, self.fast))}: want speeds above 0 and up to 50 m/s")
+        if self.rooms < 0:
+            raise InputError(f"--rooms {self.rooms}: want 0 or more")
         if self.flights is not None and not Path(self.flights).is_dir():
             raise InputError(f"--flights: have {self.flights!r}, want a folder that exists")
 
 
 def items(config: Config) -> list[Item]:
-    """A column each: the environments, fast flights in them, and the recorded flights, with every noise."""
+    """A column each: the environments, fast flights in them, new rooms and recorded flights, with every noise."""
     paths = sorted(Path(config.flights).glob("*.csv")) if config.flights else []
     places = [(name, None) for name in ENVIRONMENTS]
     places += [(name, speed) for name in ENVIRONMENTS[:2] for speed in config.fast]
+    places += [(f"{NEW_ROOM}{number}", None) for number in range(config.rooms)]
     places += [(str(path), None) for path in paths if "obstacles" not in path.stem]
     found = []
     for place, speed in places:
@@ -195,6 +212,12 @@ def evaluate(config: Config, item: Item) -> Row:
     column, speed = item.values["column"], item.values["speed"]
     title, rng = item.values["title"], np.random.default_rng(config.seed)
     seen: dict[str, Any] = {"noise": item.values["noise"], "dropouts": config.dropouts}
+    if column.startswith(NEW_ROOM):
+        number = int(column.removeprefix(NEW_ROOM))
+        world = new_room(number)
+        dt = PredictionConfig.for_world(world).dt
+        cut = room_windows(world, dt, number, config.windows)
+        return {"rows": list(rows_of(title, cut, dt, shipped_model("generic", dt), world, **seen))}
     if column not in ENVIRONMENTS:
         cut, generic = recorded_windows(Path(column), config.windows, rng), shipped_model("generic", FLIGHT_INTERVAL)
         return {"rows": list(rows_of(title, cut, FLIGHT_INTERVAL, generic, None, **seen))}

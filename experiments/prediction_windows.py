@@ -1,4 +1,4 @@
-"""Windows of flights on which predictors are compared: stored, fast and recorded ones, as a camera would see them."""
+"""Windows of flights on which predictors are compared: stored, fast, recorded, in new rooms; and as a camera would see."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +13,8 @@ from jaxplan.prediction.interpolation import interpolate
 from jaxplan.prediction.observations import Observations
 from jaxplan.prediction.waypoints import ChainConfig, chains
 from jaxplan.prediction.windows import WindowConfig, draw_windows
+from jaxplan.training.tours import tours
+from jaxplan.training.worlds import random_world
 from jaxplan.world.obstacles import World
 
 SPEEDS = np.linspace(0.5, 5.5, 10)
@@ -22,6 +24,8 @@ _FAST = 0.7
 _DRAWN, _LEAST_DRAWN = 60, 1200
 """Windows drawn for each that is wanted, since most of a flight is slower, and at least."""
 _MARGIN = 0.5
+_NEW = 90_000
+"""From this number on rooms are new."""
 _FAST_ACCELERATION = 15.0
 """m/s^2 that a fast flight may need: with gravity that is a thrust-to-weight ratio of 1.8."""
 
@@ -70,6 +74,22 @@ def fast_windows(
     if not len(fast):
         raise InputError(f"fast targets: none of {len(windows)} flights in this room is as fast as {speed:g} m/s")
     return fast, observed
+
+
+def new_room(number: int) -> World:
+    """A random room that nobody trained in, with a number of its own."""
+    return random_world(np.random.default_rng([_NEW, number]), _NEW + number)
+
+
+def room_windows(world: World, dt: float, number: int, count: int) -> Float[np.ndarray, "k length 3"]:
+    """``count`` windows of new flights through a room at maximum speeds up to 8 m/s: tours, or every other time chains.
+
+    Raises InputError where the room is too small.
+    """
+    margin = _MARGIN - 0.1
+    source = chains(world, ChainConfig(margin=margin)) if number % 2 else tours(world, margin)
+    config = WindowConfig(dt=dt, margin=margin, speeds=(0.5, 8.0))
+    return draw_windows([source], world, count, np.random.default_rng([_NEW, number, 1]), config)
 
 
 def recorded_windows(

@@ -49,9 +49,30 @@ def test_predictors_are_compared_on_every_flight_with_every_noise() -> None:
     assert titles[:2] == ["env1", "env1, 0.2 m"]
     assert len(titles) == len(set(titles)) == 10
     assert "env2 at 6 m/s, 0.2 m" in titles
-    for wrong in ({"noises": (-0.1,)}, {"noises": ()}, {"dropouts": 1.0}, {"fast": (0.0,)}, {"noises": (np.nan,)}):
+    more = prediction_comparison.items(dataclasses.replace(config, rooms=2))
+    assert {item.name for item in more} - set(titles) == {
+        f"new room {n}{noise}" for n in (0, 1) for noise in ("", ", 0.2 m")
+    }
+    for wrong in (
+        {"rooms": -1},
+        {"noises": (-0.1,)},
+        {"noises": ()},
+        {"dropouts": 1.0},
+        {"fast": (0.0,)},
+        {"noises": (np.nan,)},
+    ):
         with pytest.raises(InputError, match="--"):
             prediction_comparison.Config(**wrong)
+
+
+def test_a_new_room_is_a_column_of_its_own() -> None:
+    """Nobody trained there, and nothing in it is hit; the network foretells its flights better than the filter."""
+    config = prediction_comparison.Config(windows=20, rooms=2)
+    item = next(item for item in prediction_comparison.items(config) if item.name == "new room 1")
+    rows = {row["predictor"]: row for row in prediction_comparison.evaluate(config, item)["rows"]}
+    assert tuple(rows) == intercept.PREDICTORS
+    assert rows["mdn"]["windows"] == 20
+    assert rows["mdn"]["ade_m"] < 0.9 * rows["imm"]["ade_m"]
 
 
 def test_what_is_not_seen_is_interpolated_and_the_newest_is_always_there() -> None:
