@@ -1,4 +1,4 @@
-"""Windows of flights on which predictors are compared: stored, fast, recorded, in new rooms; and as a camera would see."""
+"""Windows on which predictors are compared: stored, fast and recorded flights, new rooms; as a camera would see."""
 
 from collections.abc import Sequence
 from pathlib import Path
