@@ -11,12 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxplan.config import WITH_MODEL, Meet
+from jaxplan.config import WITH_MODEL, WITH_NETWORK, Meet
 from jaxplan.errors import InputError
 from jaxplan.feasibility.checkpoint import WEIGHTS as CLASSIFIERS
 from jaxplan.io.targets import stored_targets
+from jaxplan.names import SHIPPED
 from jaxplan.policy.checkpoint import WEIGHTS
 from jaxplan.prediction import target_model
+from jaxplan.prediction.mdn.checkpoint import SHIPPED_NETWORK
 from jaxplan.runner.definition import Experiment, Item, Row
 from jaxplan.world.load import ENVIRONMENTS
 
@@ -196,11 +198,13 @@ def at_once(config: Config, /) -> int:
 
 
 def artefacts(config: Config) -> list[Path]:
-    """Weights and mixtures that the cells use."""
+    """Weights, mixtures and networks that the cells use."""
     models = Path(target_model.__file__).parent / "models"
     files = [folder / f"{planner}.npz" for planner in config.planners for folder in (WEIGHTS, CLASSIFIERS)]
     if set(WITH_MODEL) & set(config.predictors):
         files += [models / f"{world}.npy" for world in config.worlds]
+    if set(WITH_NETWORK) & set(config.predictors):
+        files.append(SHIPPED["flight network"] / f"{SHIPPED_NETWORK}.npz")
     return [path for path in files if path.is_file()]
 
 

@@ -65,6 +65,15 @@ def test_predictors_are_compared_on_every_flight_with_every_noise() -> None:
             prediction_comparison.Config(**wrong)
 
 
+def test_what_flew_says_which_weights_it_used() -> None:
+    one = table1.Config(planners=("mfrl",), predictors=("none",))
+    without = {path.name for path in table1.artefacts(one)}
+    assert without == {"mfrl.npz"}
+    for predictor, names in (("fused", {"env1.npy", "env2.npy", "env3.npy"}), ("ensemble", {"rooms.npz"})):
+        more = {path.name for path in table1.artefacts(dataclasses.replace(one, predictors=(predictor,)))}
+        assert more - without == names
+
+
 def test_a_new_room_is_a_column_of_its_own() -> None:
     """Nobody trained there, and nothing in it is hit; the network foretells its flights better than the filter."""
     config = prediction_comparison.Config(windows=20, rooms=2)
