@@ -10,7 +10,7 @@ from jaxplan.errors import InputError
 from jaxplan.io.target_log import read_target_log, resample
 from jaxplan.prediction.mdn.checkpoint import save_network
 from jaxplan.prediction.protocol import SPACING
-from jaxplan.training.dataset import digest
+from jaxplan.training.flights.examples import examples_digest
 from jaxplan.training.flights.run import MdnConfig, train_mdn
 from jaxplan.versions import require_supported_jax
 
@@ -53,7 +53,7 @@ def mdn(
     card = {
         "command": command_line("train mdn", options, option_values(config, beside=_BESIDE)),
         "config": dataclasses.asdict(config),
-        "data_sha256": digest(run / "config.json"),
+        "data_sha256": examples_digest(run / "examples"),
         "held_out": score._asdict(),
     }
     save_network(out, trained, card)

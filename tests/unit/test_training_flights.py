@@ -11,7 +11,13 @@ from jaxplan.errors import FileError, InputError
 from jaxplan.prediction.mdn.network import NetworkConfig
 from jaxplan.prediction.mdn.view import OBSERVATIONS, STEPS
 from jaxplan.training.flights import examples
-from jaxplan.training.flights.examples import ExamplesConfig, load_examples, make_examples, recorded_examples
+from jaxplan.training.flights.examples import (
+    ExamplesConfig,
+    examples_digest,
+    load_examples,
+    make_examples,
+    recorded_examples,
+)
 from jaxplan.training.flights.run import MdnConfig, train_mdn
 from tolerances import relative
 
@@ -74,11 +80,14 @@ def test_examples_are_flights_as_targets_see_them(folder):
 def test_examples_that_are_there_are_not_made_again(folder, few):
     path = sorted((folder / "examples").glob("flights-*.npz"))[1]
     kept, others = path.read_bytes(), sorted((folder / "examples").glob("*"))
+    whole = examples_digest(folder / "examples")
     path.unlink()
+    assert examples_digest(folder / "examples") != whole
     said = []
     make_examples(folder / "examples", few, 0, said.append)
     assert said == [f"shard 2 of 2: {2 * 12 * few.windows} flights"]
     assert path.read_bytes() == kept
+    assert examples_digest(folder / "examples") == whole
     assert sorted((folder / "examples").glob("*")) == others
     with pytest.raises(InputError, match="another configuration"):
         make_examples(folder / "examples", dataclasses.replace(few, seed=1), 0, said.append)

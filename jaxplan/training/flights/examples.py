@@ -9,6 +9,7 @@ shaken a little as a whole, since real vehicles do not follow polynomials.
 import concurrent.futures
 import dataclasses
 import functools
+import hashlib
 import multiprocessing
 import os
 from collections.abc import Callable, Sequence
@@ -116,6 +117,12 @@ def load_examples(folder: Path, *, held_out: bool) -> Examples:
     ]
     joined = {name: np.concatenate([shard[name] for shard in shards]) for name in shards[0]}
     return Examples(View(**{name: joined[name] for name in View._fields}), joined["future"])
+
+
+def examples_digest(folder: Path) -> str:
+    """SHA-256 of the shards' hashes, in order."""
+    hashes = [hashlib.sha256(path.read_bytes()).digest() for path in sorted(folder.glob("flights-*.npz"))]
+    return hashlib.sha256(b"".join(hashes)).hexdigest()
 
 
 def recorded_examples(recordings: Sequence[Float[np.ndarray, "_ 3"]], count: int, seed: int) -> Examples:
