@@ -47,7 +47,7 @@ class MdnConfig:
     """Sizes of the network."""
     examples: ExamplesConfig = ExamplesConfig()
     """The flights that it is trained with."""
-    steps: int = 60_000
+    steps: int = 40_000
     """Gradient steps."""
     batch: int = 512
     """Flights of each step."""
