@@ -9,7 +9,7 @@ Recorded flights are resampled to 0.1 s and predicted with the generic mixture.
 
 import dataclasses
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -71,15 +71,16 @@ def rows_of(
     observed: int = 10,
     noise: float = 0.0,
     dropouts: float = 0.0,
+    kinds: Sequence[str] = tuple(PREDICTORS),
 ) -> Iterator[Row]:
-    """Every predictor on the windows of one column; of each window the first ``observed`` positions were seen."""
+    """Predictors of these ``kinds`` on the windows of a column; of each the first ``observed`` positions were seen."""
     config = PredictionConfig(dt=dt)
     future: dict[str, Float[np.ndarray, "steps 3"]] = {}
     seen, futures = observe_windows(windows, observed, dt)
     seen = as_seen(seen, noise, dropouts, np.random.default_rng(0))
     steps = futures.shape[1]
     whole = np.concatenate([futures, np.repeat(futures[:, -1:], config.steps - steps, axis=1)], axis=1)
-    for kind in PREDICTORS:
+    for kind in kinds:
         predictor = build_predictor(kind, config, lambda times: future["positions"], model=model, world=world)
         predictions, spent = [], []
         future["positions"] = whole[0]
