@@ -32,6 +32,7 @@ SPEEDS = tuple(float(speed) for speed in np.round(np.linspace(0.5, 5.5, 10), 4))
 DEPARTURES = tuple(float(time) for time in np.round(np.linspace(0.5, 2.5, 10), 4))
 """s."""
 FOR_OTHERS = ("imm", "fused", "mdn", "ensemble")
+"""Predictors that the paper has nothing like: flown where they are named."""
 COMPARED = tuple(name for name in PREDICTORS if name not in FOR_OTHERS)
 """Predictors of the presets."""
 

@@ -173,6 +173,7 @@ def test_nothing_compiles_after_the_first_call(mixture, compilations):
 
 def test_the_names_that_a_user_can_give_are_those_of_the_table():
     assert tuple(PREDICTORS) == config.PREDICTORS
+    assert tuple(name for name, kind in PREDICTORS.items() if kind.network) == config.WITH_NETWORK
 
 
 @pytest.mark.parametrize("name", PREDICTORS)

@@ -134,3 +134,6 @@ def test_a_run_learns_goes_on_and_repeats_itself(folder, quick, tmp_path):
         np.testing.assert_array_equal(ours, theirs)
     with pytest.raises(InputError, match="another configuration"):
         train_mdn(part, dataclasses.replace(quick, batch=32), report=lambda line: None)
+    with pytest.raises(InputError, match="another configuration"):  # other examples have other curves
+        more = dataclasses.replace(quick.examples, shards=2 * EVERY_SECOND)
+        train_mdn(part, dataclasses.replace(quick, examples=more), report=lambda line: None)

@@ -1,7 +1,8 @@
 """Flights as few numbers: the principal components of how far a target gets along one axis (host, or JAX).
 
 A flight is ``STEPS`` positions after the newest one, as the target sees it. Each axis has the same six curves, the
-strongest that were found in training; what they leave out is mostly below a centimetre.
+strongest that were found in training; what they leave out of held-out flights at up to 10 m/s is below 1.1 cm for half
+of the positions and below 7 cm for nine tenths.
 """
 
 from typing import Any, NamedTuple

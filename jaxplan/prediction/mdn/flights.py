@@ -66,7 +66,7 @@ def learned_network(config: PredictionConfig, trained: TrainedNetwork, world: Wo
         mixture = mixture_of(trained.parameters, view_of(frame, padded, count, config.dt, room), np)
         factors = deviations(mixture)
         own = flights_of(trained.curves, _drawn(mixture, factors, uniform, normal))
-        flights = _in_world(frame, 0, own)
+        flights = frame.only(0).to_world(own.reshape(1, -1, 3).astype(np.float64)).reshape(own.shape)
         foreseen = None
         if held:
             ahead = window.positions[-held:]
@@ -94,12 +94,6 @@ def _drawn(
     return np.asarray(mixture.means[0, component] + apart[:, :, 0])
 
 
-def _in_world(frame: Frame, number: int, own: Float[np.ndarray, "p s 3"]) -> Float[np.ndarray, "p s 3"]:
-    """Flights as one of the targets sees them in the world [m]."""
-    one = Frame(*(part[number : number + 1] for part in frame))
-    return one.to_world(own.reshape(1, -1, 3).astype(np.float64)).reshape(own.shape)
-
-
 def _log_densities(
     trained: TrainedNetwork,
     mixture: FlightMixture,
@@ -109,7 +103,7 @@ def _log_densities(
     tolerance: float,
 ) -> Float[np.ndarray, "h"]:
     """What the last mixture gives to each of the positions [m, world] that come next, to ``tolerance`` [m]."""
-    last = Frame(*(part[-1:] for part in frame))
+    last = frame.only(-1)
     scale = float(last.scale[0])
     places = places_at(trained.curves, len(ahead)).astype(np.float64)
     means = np.einsum("hac,kc->hka", places, mixture.means[-1])

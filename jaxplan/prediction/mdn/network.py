@@ -1,8 +1,8 @@
 """The network: from a view to a mixture of normal distributions over the coefficients of whole flights.
 
 Residual layers look at all of the view. What is expected is linear in the positions seen, by one of several matrices or
-by a blend of them, plus a correction for each component: a bend is so continued to a millimetre, and a wall that is
-ahead changes what follows. The covariances are full, as Cholesky factors of their inverses, the diagonal apart
+by a blend of them, plus a correction for each component: straight lines and bends need no correction, and what is ahead
+chooses the blend. The covariances are full, as Cholesky factors of their inverses, the diagonal apart
 (Williams, Neural Computation 8(4), 1996):
 
     z = D (I + N) (c - mu),   p(c) = det D (2 pi)^(-c/2) exp(-|z|^2 / 2),   N strictly lower triangular.

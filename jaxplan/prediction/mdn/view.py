@@ -1,8 +1,8 @@
 """What the network is shown of a target: its newest positions, and how far away everything is around it (host).
 
 All is seen from the newest position, with x along the velocity as far as that is level and z up, and measured in the
-way that the target would go on in ``STEPS`` intervals: a flight that is twice as fast looks the same. Distances to
-obstacles are looked up at ``PROBES``, fixed places on rays from the target, most of them ahead.
+way that the target would go on in ``STEPS`` intervals, so that flights of all speeds look alike but for that unit.
+Distances to obstacles, in metres, are looked up at ``PROBES``: in these units fixed places on rays, most of them ahead.
 """
 
 from typing import NamedTuple
@@ -51,6 +51,10 @@ class Frame(NamedTuple):
     """Their x, y and z (rows) in the world."""
     scale: Float[np.ndarray, "n"]
     """Their units of length [m]."""
+
+    def only(self, number: int) -> "Frame":
+        """That of one of them, still as a batch."""
+        return Frame(*(part[number, None] for part in self))
 
     def to_own(self, positions: Float[np.ndarray, "n l 3"]) -> Float[np.ndarray, "n l 3"]:
         """Positions [m, world] as each sees them."""

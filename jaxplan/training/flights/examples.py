@@ -46,7 +46,7 @@ LENGTH = OBSERVATIONS + STEPS
 ROOMS, STORED, OPEN = 8, 6, 7
 """Of a shard; which of them is a stored one, and which has neither walls nor obstacles."""
 HELD_OUT = 16
-"""Every so manieth shard, with all its rooms, is for tests."""
+"""One shard of so many, with all its rooms, is for tests."""
 SPEEDS, MARGINS = (0.5, 10.0), (0.3, 0.5)
 """Maximum speeds of flights [m/s], and what they keep from obstacles [m]."""
 OPEN_ACCELERATION = 20.0
@@ -115,8 +115,8 @@ def load_examples(folder: Path, *, held_out: bool) -> Examples:
     shards = [
         read_arrays(read_limited(path, LARGEST_ARCHIVE, "flights, written by jaxplan train mdn")) for path in chosen
     ]
-    joined = {name: np.concatenate([shard[name] for shard in shards]) for name in shards[0]}
-    return Examples(View(**{name: joined[name] for name in View._fields}), joined["future"])
+    arrays = {name: np.concatenate([shard[name] for shard in shards]) for name in shards[0]}
+    return Examples(View(**{name: arrays[name] for name in View._fields}), arrays["future"])
 
 
 def examples_digest(folder: Path) -> str:

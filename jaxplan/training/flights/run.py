@@ -4,6 +4,7 @@ A run is a folder: the ``examples``, ``state.msgpack`` to go on from, ``metrics.
 """
 
 import dataclasses
+import hashlib
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -99,9 +100,9 @@ def train_mdn(
     Gives the best weights and their score.
     """
     create_folder(folder)
+    hashes = [hashlib.sha256(flight.astype("<f8").tobytes()).hexdigest() for flight in recordings]
+    state_configuration(folder, dataclasses.asdict(config) | {"recordings": hashes})
     make_examples(folder / "examples", config.examples, workers, report)
-    stated = dataclasses.asdict(config) | {"recordings": [len(flight) for flight in recordings]}
-    state_configuration(folder, stated, may_differ=("examples",))
     training, held_out = (load_examples(folder / "examples", held_out=which) for which in (False, True))
     if recordings:
         others = recorded_examples(recordings, len(training.future), config.training_seed)
