@@ -20,7 +20,6 @@ from jaxplan.planner import (
     Prospect,
     Refined,
     Seed,
-    Stops,
     Timer,
     capture_time,
     capture_times,
@@ -83,8 +82,6 @@ class Decision:
         self._planner, self._config, self._known, self._timer = planner, config, known, timer
         self._pace, self._vain, self._latency = memory.pace, memory.vain, 1e3 * latency
         self.incumbent = self._incumbent()
-        self._tried = False
-        """Whether candidates were, in this cycle."""
         self._vain.against(known.committed, known.start.takeover - self.incumbent.score)
         self.refused = 0
         """Plans that passed every check but the last look."""
@@ -98,8 +95,7 @@ class Decision:
     def among(self, plans: Plans) -> Outcome:
         """The choice among a cycle's plans and what there is beside them."""
         prospect = self._known.prospect
-        self._tried = bool((plans.trajectory >= 0).any())
-        if self._tried:
+        if (plans.trajectory >= 0).any():
             self._vain.remember("plan")
         return self._by_score(plans) if prospect is None else self._by_capture(plans, prospect)
 
@@ -157,15 +153,14 @@ class Decision:
     def _by_capture(self, plans: Plans, prospect: Prospect) -> Outcome:
         """The ladder: what is expected to capture soonest, be it a plan, a correction or the committed one; a stop.
 
-        Where no flight, though it went straight on, would be enough sooner than what is committed, only that counts. It
-        is refined in a cycle in which no candidates were tried: there is no time for both (docs/decisions/0066).
+        Where no flight, though it went straight on, would be enough sooner than what is committed, only that counts.
         """
         least = self.incumbent.score + self._planner.config.capture.gain
         if not -np.inf < plans.promise <= least and (outcome := self._soonest(least, plans, prospect)):
             return outcome
         if not np.isfinite(self.incumbent.score):
             return self.stop(PlanStatus.BRAKE)
-        if self._tried or not self._vain.is_worth("refine"):
+        if not self._vain.is_worth("refine"):
             return PlanStatus.KEPT_COMMITTED, None
         seed = seed_towards(prospect, self._known.committed.spline, self._known.since, self._config.reach)
         refined = self._refined(seed, least)
@@ -174,8 +169,7 @@ class Decision:
     def _soonest(self, least: float, plans: Plans, prospect: Prospect) -> Outcome | None:
         """The best of plans and corrections, where it is worth more than ``least`` [s].
 
-        Where none of them passes approaches are looked at, or stops, which keep the ways open: in turn, since a cycle
-        has no time for both (docs/decisions/0066).
+        Where none of them passes approaches are looked at, and then stops, which keep the ways open.
         """
         start, rivals = self._known.start.state, self._ranked(plans, plans.score, PlanStatus.INTERCEPT, least)
         passes = bool((plans.reasons == 0).any())
@@ -186,11 +180,17 @@ class Decision:
             self._timer.lap("correct")
         if passes:
             return self._first(sorted(rivals, key=lambda rival: -rival.score)[:LOOKED_AT])
-        turn = self._vain.turn("approach", "stop") if np.isfinite(self.incumbent.score) else "approach"
-        if turn is None:
+        if self._vain.is_worth("approach"):
+            approaches = self._approaches()
+            ways = self._ranked(approaches, _worth(prospect, approaches), PlanStatus.APPROACH, least)
+            if outcome := self._first(ways):
+                return outcome
+        if not np.isfinite(self.incumbent.score) or not self._vain.is_worth("stop"):
             return None
-        ways = self._approaches() if turn == "approach" else self._stops()
-        return self._first(self._ranked(ways, _worth(prospect, ways), PlanStatus.APPROACH, least))
+        self._vain.remember("stop")
+        stops = self._planner.brake(start, self._known.committed.spline, self._known.since)
+        self._timer.lap("stop")
+        return self._first(self._ranked(stops, _worth(prospect, stops), PlanStatus.APPROACH, least))
 
     def _ranked(
         self, among: Flights, score: Float[np.ndarray, "k"], status: PlanStatus, least: float = -np.inf
@@ -237,14 +237,6 @@ class Decision:
         approaches = self._planner.approach(self._known.start.state, candidates)
         self._timer.lap("approach")
         return approaches
-
-    def _stops(self) -> Stops:
-        """Where the vehicle may come to rest on and beside the committed plan."""
-        self._vain.remember("stop")
-        known = self._known
-        stops = self._planner.brake(known.start.state, known.committed.spline, known.since)
-        self._timer.lap("stop")
-        return stops
 
     def _refined(self, seed: Seed, score: float, new: bool = False) -> Chosen | None:
         """An interception that is enough sooner than ``seed``, which is worth ``score``; None where there is none.

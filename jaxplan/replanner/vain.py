@@ -29,8 +29,6 @@ class Vain:
         self._meeting = np.inf
         self._tried: dict[Attempt, _Tries] = {}
         self._new: set[Attempt] = set()
-        self._lately: dict[Attempt, int] = {}
-        self._number = 0
 
     def against(self, plan: CommittedPlan, meeting: float) -> None:
         """From now on against this plan, which meets the target at ``meeting`` [s], inf where it is worth nothing."""
@@ -43,15 +41,8 @@ class Vain:
         tries = self._tried.get(attempt)
         return tries is None or tries.number < enough or self._is_worse(tries)
 
-    def turn(self, *attempts: Attempt) -> Attempt | None:
-        """Which of them to try in this cycle: of those worth it the one not tried for longest; None where none is."""
-        worth = [attempt for attempt in attempts if self.is_worth(attempt)]
-        return min(worth, key=lambda attempt: self._lately.get(attempt, 0), default=None)
-
     def remember(self, attempt: Attempt, new: bool = False) -> None:
         """It is tried now, in vain as far as is known: for what is committed, or for a ``new`` plan that will be."""
-        self._number += 1
-        self._lately[attempt] = self._number
         if new:
             self._new.add(attempt)
             return

@@ -130,21 +130,6 @@ def test_what_was_tried_in_vain_may_be_tried_again_in_a_changed_world():
     assert not vain.is_worth("stop")
 
 
-def test_what_is_worth_trying_is_tried_in_turn():
-    vain, plan, other = Vain(), hold(hover(START)), hold(hover(START))
-    vain.against(plan, 3.0)
-    assert vain.turn("approach", "stop") == "approach"
-    vain.remember("approach")
-    assert vain.turn("approach", "stop") == "stop"
-    vain.remember("stop")
-    assert vain.turn("approach", "stop") is None
-    vain.against(plan, 3.0 + 1.1 * WORSE)
-    assert vain.turn("approach", "stop") == "approach"
-    vain.remember("approach")
-    vain.against(other, 3.0)
-    assert vain.turn("approach", "stop") == "stop"
-
-
 @pytest.mark.parametrize(("receding", "least", "most"), [(0.0, 1, 3), (0.2, 4, 6)])
 def test_a_committed_plan_is_refined_again_where_it_has_become_worse(planner, receding, least, most):
     """The target flies as predicted, or each prediction has it farther away than the one before."""
