@@ -23,6 +23,7 @@ from jaxplan.planner.capture import (
     prospect_of,
     straight_capture_times,
 )
+from jaxplan.planner.kernels.captures import SHARED
 from jaxplan.prediction.futures import Futures
 from jaxplan.records import replace
 from jaxplan.spline import FlatState, PiecewisePolynomial, hover
@@ -198,6 +199,15 @@ def test_a_straight_flight_is_worth_what_its_way_is() -> None:
         since = np.minimum(prospect.times, whole + 2.0 * STEP)[:, None]
         way = position + since * velocity + (since / whole) ** 2 * (goals[k] - position - velocity * whole)
         assert found[k] == pytest.approx(by_loops(prospect, way), **relative("formula"))
+
+
+def test_many_straight_flights_are_worth_what_each_is() -> None:
+    """Two cores share them."""
+    rng, prospect, state = np.random.default_rng(6), prospect_of(at_rest((3.0, 0.0, 0.0)), CERTAIN), hover(np.zeros(3))
+    goals, times = rng.normal(scale=2.0, size=(SHARED + 1, 3)), rng.uniform(0.1, 2.0, SHARED + 1)
+    found = straight_capture_times(prospect, state, goals, times)
+    parts = [straight_capture_times(prospect, state, goals[few], times[few]) for few in (slice(90), slice(90, None))]
+    np.testing.assert_array_equal(found, np.concatenate(parts))
 
 
 @pytest.mark.usefixtures("x64")
