@@ -9,8 +9,8 @@ PYTEST_ARGS ?= -n 2 --dist loadfile --no-loadscope-reorder
 # What runs on JAX and MJX: with the code of the docs enough to tell whether another version of them holds.
 JAX_TESTS = $(wildcard tests/unit/test_minsnap_*.py tests/unit/test_spline*.py tests/unit/test_tracking_*.py \
     tests/unit/test_vehicle_*.py) $(addprefix tests/unit/test_, arrival.py feasibility.py knots.py policy.py policy_speed_profile.py \
-    prediction_mixture.py selection.py world_clearance.py) $(addprefix tests/integration/test_, canaries.py planner.py \
-    replanner.py plant_tools.py)
+    prediction_mixture.py selection.py world_clearance.py) $(addprefix tests/integration/test_, canaries.py \
+    planner.py plant_tools.py)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
