@@ -7,7 +7,7 @@ from typing import Protocol, no_type_check, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from jaxplan.batching import meanwhile
+from jaxplan.batching import side_by_side
 from jaxplan.planner.kernels.compiled import entry_point, inner, source_digest
 
 SHARED = 1000
@@ -77,11 +77,9 @@ def straight_times(
 
     if len(goals) < SHARED:
         write(slice(None))
-        return expected
-    half = len(goals) // 2
-    others = meanwhile(functools.partial(write, slice(half, None)))
-    write(slice(half))
-    others()
+    else:
+        half = len(goals) // 2
+        side_by_side(write, (slice(half), slice(half, None)))
     return expected
 
 
