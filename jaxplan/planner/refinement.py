@@ -139,7 +139,8 @@ def _strict(parts: Parts, config: RefinementConfig) -> ValidatorConfig:
 
 def _against(faults: Fault) -> Reason:
     """What the last look has found, as reasons against a plan."""
-    body = Reason.LIMITS if faults & (Fault.THRUST | Fault.ROTORS | Fault.SPEED) else Reason(0)
+    unable = Fault.THRUST | Fault.ROTORS | Fault.SPEED | Fault.FALLING
+    body = Reason.LIMITS if faults & unable else Reason(0)
     place = Reason.CLEARANCE if faults & Fault.CLEARANCE else Reason(0)
     shape = Reason.NONFINITE if faults & (Fault.NONFINITE | Fault.STARTS_ELSEWHERE | Fault.NOT_SMOOTH) else Reason(0)
     return body | place | shape

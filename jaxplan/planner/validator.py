@@ -50,6 +50,8 @@ class Fault(enum.IntFlag):
     """Single rotors are out of their range for too long."""
     SPEED = 1 << 7
     """It is faster than a plan may be."""
+    FALLING = 1 << 8
+    """It asks for so little thrust that the rotors have nothing left to turn the vehicle with."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,11 +63,15 @@ class ValidatorConfig:
     most_excess: float = 1.0
     """Longest time [s] that any rotor may be out of its range against drag, all of a plan added up (343 plans of Table
     I: median 0.20, p99 0.75, most 0.97; all were tracked)."""
+    least_thrust: float = 0.33
+    """Smallest thrust against drag, as a share of gravity: from rotors that hardly turn nothing can be taken away, and
+    the attitude is lost (docs/decisions/0067)."""
     pieces: int = 32
     """Into which each segment is cut."""
 
     def __post_init__(self) -> None:
         require_positive("validator", self, "max_speed", "most_excess")
+        require_within("validator", self, 0, 1, "least_thrust")
         require_within("validator", self, 8, 1024, "pieces")
 
 
@@ -146,6 +152,7 @@ def validate(
     for bad, fault in (
         (spare < -CLEARANCE_ROUNDING, Fault.CLEARANCE),
         (effort.thrust > 1.0 + ROUNDING, Fault.THRUST),
+        (effort.least < config.least_thrust, Fault.FALLING),
         (effort.excess > config.most_excess, Fault.ROTORS),
         (pieces.speed.max() > config.max_speed, Fault.SPEED),
     ):

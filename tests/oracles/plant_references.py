@@ -48,6 +48,29 @@ def hop(t: np.ndarray, distance: float, duration: float) -> FlatState:
     return FlatState(derivatives=derivatives, yaw=np.zeros((len(t), 3)))
 
 
+def sagging(t: np.ndarray, thrust: float, hold: float, ramp: float = 0.25) -> FlatState:
+    """A climb braked by gravity: the thrust [m/s^2, without drag] is taken back to so much, held and given back.
+
+    Each takes ``ramp`` s, by 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7; the climb is as fast at first as the fall at the end.
+    """
+    polynomial = np.polynomial.Polynomial([0, 0, 0, 0, 35.0, -84.0, 70.0, -20.0])
+    derivatives, lacking = np.zeros((len(t), 5, 3)), 9.81 - thrust
+    derivatives[:, 0, 2] = derivatives[:, 1, 2] = 0.5 * lacking * (ramp + hold)
+    derivatives[:, 0, 2] *= t
+    for begin, sign in ((0.0, -1.0), (ramp + hold, 1.0)):
+        since = t - begin
+        s, over = np.clip(since / ramp, 0.0, 1.0), np.maximum(since - ramp, 0.0)
+        for order in range(5):
+            within = polynomial.deriv(order - 2) if order > 2 else polynomial.integ(2 - order)
+            part = ramp ** (2 - order) * within(s)
+            if order == 0:
+                part = part + ramp * polynomial.integ(1)(1.0) * over + 0.5 * over**2
+            elif order == 1:
+                part = part + over
+            derivatives[:, order, 2] += sign * lacking * part
+    return FlatState(derivatives=derivatives, yaw=np.zeros((len(t), 3)))
+
+
 def helix(t: np.ndarray, radius: float, rate: float, climb: float, yaw_rate: float) -> FlatState:
     """A circle of ``radius`` m at ``rate`` rad/s, climbing, while the yaw sways: 0.5 + sin(yaw_rate t)."""
     x, y = sine_derivatives(radius, rate, t, np.pi / 2), sine_derivatives(radius, rate, t)

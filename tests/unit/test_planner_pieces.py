@@ -77,10 +77,11 @@ def test_the_effort_is_that_of_attitudes_that_are_turned(turning: bool) -> None:
     assert 0.05 < float((outside * lengths).sum()) < 0.95 * float(spline.duration), "some are outside"
     assert effort.excess == pytest.approx(float((outside * lengths).sum()), abs=lengths.max())
     assert_close(effort.thrust, thrusts[1].max() / whole, "formula")
+    assert_close(effort.least, thrusts[1].min() / float(VEHICLE.gravity), "formula")
 
 
 def test_without_a_body_nothing_is_asked_of_it() -> None:
-    assert tuple(cut(flight(0), COUNT)[1]) == (0.0, 0.0)
+    assert tuple(cut(flight(0), COUNT)[1]) == (0.0, 1.0, 0.0)
 
 
 def _attitude(spline: PiecewisePolynomial, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

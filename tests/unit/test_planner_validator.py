@@ -136,6 +136,29 @@ def test_limits_of_speed_and_of_rotors_are_those_of_the_configuration() -> None:
     assert look(fast, config=ValidatorConfig(most_excess=2.0)).faults == Fault(0)
 
 
+@pytest.mark.parametrize("climbs", [False, True])
+def test_a_plan_that_nearly_falls_is_refused(climbs: bool) -> None:
+    """Down and to rest, or up and to rest, as fast as the least thrust on the way allows, and a tenth faster."""
+    heights = np.array([1.0, 2.5, 4.0]) if climbs else np.array([4.0, 2.5, 1.0])
+    waypoints = np.column_stack([np.full((3, 2), -4.0), heights])
+    times = np.linspace(0.0, 1.0, 4000)
+
+    def least(stretch: float) -> tuple[PiecewisePolynomial, float]:
+        spline = jax.tree.map(np.asarray, jaxplan.minimum_snap(waypoints, stretch * np.array([0.5, 0.5])))
+        velocity, pull = (spline.evaluate(times * float(spline.duration), order)[:, :3] for order in (1, 2))
+        drag = float(VEHICLE.drag_coefficient) / float(VEHICLE.mass)
+        force = pull + drag * np.linalg.norm(velocity, axis=1, keepdims=True) * velocity + [0.0, 0.0, 9.81]
+        return spline, float(np.linalg.norm(force, axis=1).min()) / 9.81
+
+    config = ValidatorConfig(most_excess=10.0)
+    for stretch in np.arange(3.0, 0.8, -0.05):
+        spline, share = least(stretch)
+        assert (Fault.FALLING in look(spline, config=config).faults) == (share < 0.33), share
+        if share < 0.25:
+            return
+    pytest.fail("none of them falls")
+
+
 def test_what_is_flown_already_does_not_count() -> None:
     """The first metre is inside a wall; from the second segment on the plan is clear."""
     waypoints = WAYPOINTS.copy()
@@ -146,7 +169,7 @@ def test_what_is_flown_already_does_not_count() -> None:
     assert look(spline, since=np.inf).faults == look(spline, since=float(spline.duration)).faults == Fault(0)
 
 
-@pytest.mark.parametrize("options", [{"pieces": 4}, {"max_speed": 0.0}, {"most_excess": -1.0}])
+@pytest.mark.parametrize("options", [{"pieces": 4}, {"max_speed": 0.0}, {"most_excess": -1.0}, {"least_thrust": -0.1}])
 def test_wrong_settings_are_refused(options: dict[str, float]) -> None:
     with pytest.raises(InputError, match=next(iter(options))):
         ValidatorConfig(**options)  # type: ignore[arg-type]

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from jaxplan.minsnap.single import minimum_snap
+from jaxplan.planner.validator import ValidatorConfig
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.tracking.fidelity import build_labeller
 from jaxplan.tracking.rates import CONTROL_RATE
@@ -117,3 +118,30 @@ def test_what_is_comfortably_feasible_is_flown_by_rotorpy_too() -> None:
     scatter = np.percentile(theirs, [50, 90, 100])
     print("ours", np.percentile(errors[chosen], [50, 90, 100]), "rotorpy", scatter)
     assert np.max(theirs) < 0.30
+
+
+def test_less_thrust_than_the_last_look_allows_loses_the_attitude() -> None:
+    """Half a second of a third of gravity is flown, of 0.15 the vehicle turns about; see docs/decisions/0067."""
+    shares, draws = (ValidatorConfig().least_thrust, 0.15), 8
+    times = np.arange(int(1.6 * CONTROL_RATE) + 1) / CONTROL_RATE
+    references = [plant_references.sagging(times, share * 9.81, hold=0.5) for share in shares]
+    for reference, share in zip(references, shares, strict=True):
+        assert_slopes(times, np.asarray(reference.derivatives))
+        assert reference.acc[:, 2].min() == pytest.approx((share - 1.0) * 9.81)
+    plant = build_plant(load_vehicle())
+    rows = jax.tree.map(lambda *leaves: np.repeat(np.stack(leaves), draws, axis=0), *references)
+    states = jax.vmap(plant.reset)(jax.tree.map(lambda leaf: leaf[:, 0], rows), jax.random.split(jax.random.key(1), 16))
+    log = jax.vmap(plant.fly)(states, rows)[1]
+    error, twist = (np.asarray(part).max(axis=1).reshape(2, draws) for part in (log.position_error, log.twist_error))
+    assert error[0].max() < 0.1
+    assert twist[0].max() < 0.2
+    assert np.median(twist[1]) > np.pi / 2
+    assert np.median(error[1]) > 0.2
+
+
+def assert_slopes(times: np.ndarray, derivatives: np.ndarray) -> None:
+    """Each of them is the slope of the one before, within what a central difference knows."""
+    for order in range(4):
+        slope = np.gradient(derivatives[:, order, 2], times)[2:-2]
+        width = np.abs(derivatives[:, order + 1, 2]).max()
+        assert np.abs(slope - derivatives[2:-2, order + 1, 2]).max() < 0.02 * width + 0.2 * (order == 3) * width

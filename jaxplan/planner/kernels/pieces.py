@@ -49,6 +49,8 @@ class Effort(NamedTuple):
 
     thrust: float
     """The largest against drag, as a share of what there is."""
+    least: float
+    """The smallest against drag, per mass, as a share of gravity."""
     excess: float
     """How long [s] any rotor is out of its range."""
 
@@ -77,11 +79,11 @@ def cut(spline: PiecewisePolynomial, count: int, since: float = 0.0, body: Body 
     tables = _taylor(count, position.shape[1]), _taylor(count, yaw.shape[1])
     asked = _NOTHING if body is None else body
     begin = min(float(since), float(durations.sum()) - 1e-9)
-    left, thrust, excess = _compiled()(
+    left, thrust, least, excess = _compiled()(
         durations, position, yaw, tables, begin, asked, body is not None, (rows, powers, attitudes)
     )
     rows = rows[:left]
-    return Pieces(rows[:, :3], rows[:, 3], rows[:, 4], rows[:, 5]), Effort(thrust, excess)
+    return Pieces(rows[:, :3], rows[:, 3], rows[:, 4], rows[:, 5]), Effort(thrust, least, excess)
 
 
 _NOTHING = Body(np.zeros(7), np.zeros((4, 4)), np.zeros(2))
@@ -110,8 +112,8 @@ class _Cut(Protocol):
         body: Body,
         asked: bool,
         scratch: tuple,
-    ) -> tuple[int, float, float]:
-        """Writes rows of ``Pieces``; how many, the largest thrust and the excess."""
+    ) -> tuple[int, float, float, float]:
+        """Writes rows of ``Pieces``; how many, the largest and the smallest thrust, and the excess."""
 
 
 @functools.cache
@@ -123,7 +125,7 @@ def _compiled() -> _Cut:
     def entry(durations, position, yaw, tables, since, body, asked, scratch):
         _ = version
         rows, powers, attitudes = scratch
-        count, left, begin, most, excess = len(tables[0]), 0, 0.0, 0.0, 0.0
+        count, left, begin, most, least, excess = len(tables[0]), 0, 0.0, 0.0, math.inf, 0.0
         for i in range(len(durations)):
             duration = durations[i]
             for j in range(count):
@@ -136,10 +138,11 @@ def _compiled() -> _Cut:
                 if asked:
                     turns = _heading(tables[1][j], yaw[i], 1.0 / duration)
                     thrust, outside = _ask(powers, turns, body, attitudes)
-                    most = max(most, thrust)
+                    most, least = max(most, thrust), min(least, thrust)
                     excess += 2.0 * half if outside else 0.0
             begin += duration
-        return left, most, excess
+        largest, gravity = body.numbers[6], body.numbers[1]
+        return left, most / largest if asked else 0.0, least / gravity if asked else 1.0, excess
 
     return entry  # type: ignore[no-any-return]
 
@@ -194,8 +197,8 @@ def _heading(table, coefficients, rate):
 @inner
 @no_type_check
 def _ask(powers, turns, body, attitudes):
-    """Thrust in the middle as a share of what there is, and whether any rotor is out of its range."""
-    _, _, mass, inertia_x, inertia_y, inertia_z, most = body.numbers
+    """Thrust in the middle per mass [m/s^2], and whether any rotor is out of its range."""
+    mass, inertia_x, inertia_y, inertia_z = body.numbers[2:6]
     _attitude(powers, turns, body.numbers, -INSTANT, attitudes[0])
     thrust = _attitude(powers, turns, body.numbers, 0.0, attitudes[1])
     _attitude(powers, turns, body.numbers, INSTANT, attitudes[2])
@@ -210,7 +213,7 @@ def _ask(powers, turns, body, attitudes):
         share = body.shares[rotor]
         squared = share[0] * x + share[1] * y + share[2] * z + share[3] * mass * thrust
         outside = outside or squared < body.squared[0] or squared > body.squared[1]
-    return thrust / most, outside
+    return thrust, outside
 
 
 @inner
