@@ -113,23 +113,19 @@ def select_stop(stops: Stops, flown: Rollouts | None = None) -> int:
 def _select_flown(stops: Stops, flown: Rollouts) -> int:
     """The gentlest stop that passes and is followed; then one that only turns fast, then any that is clear.
 
-    Where none is followed, of those that stay clear the gentlest of the best followed; then what stays farthest away.
+    Where none is followed, of those that stay clear; then what stays farthest away. Who is followed much worse than
+    another of its kind is not taken: the next stop has to begin from there.
     """
     hits, nothing = np.uint32(HITS), np.uint32(0)
     turning, solid = stops.reasons & ~np.uint32(Reason.BODY_RATE), stops.reasons & hits
     unclear = np.where(flown.clear, nothing, hits)
-    astray = np.where(flown.followed, unclear, hits)
-    nearly = np.where((solid | unclear) == 0, flown.astray, np.inf)
-    worse = np.where(nearly <= nearly.min() + NEARLY, nothing, hits)
-    touching = np.where(stops.impact > 0.0, hits, nothing) | (stops.reasons & np.uint32(Reason.NONFINITE))
-    for score, reasons in (
-        (stops.arrival_times, stops.reasons | astray),
-        (stops.arrival_times, turning | astray),
-        (stops.arrival_times, solid | astray),
-        (stops.arrival_times, solid | unclear | worse),
-        (flown.clearance, touching),
-    ):
-        best = select_best(score, reasons)
+    unfollowed = np.where(flown.followed, unclear, hits)
+    for reasons in (stops.reasons | unfollowed, turning | unfollowed, solid | unfollowed, solid | unclear):
+        astray = np.where(reasons == 0, flown.astray, np.inf)
+        worse = np.where(astray <= astray.min() + NEARLY, nothing, hits)
+        best = select_best(stops.arrival_times, reasons | worse)
         if best >= 0:
             return best
-    return select_best(-stops.impact, stops.reasons & np.uint32(Reason.NONFINITE))
+    touching = np.where(stops.impact > 0.0, hits, nothing) | (stops.reasons & np.uint32(Reason.NONFINITE))
+    best = select_best(flown.clearance, touching)
+    return best if best >= 0 else select_best(-stops.impact, stops.reasons & np.uint32(Reason.NONFINITE))

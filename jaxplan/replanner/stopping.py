@@ -64,12 +64,19 @@ def _tried(planner: Planner, known: Known, state: FlatState) -> tuple[Stops, Rol
 
 
 def _clear(held: list[_Held]) -> _Found | None:
-    """The first that is clear and followed; where none is, the first that is clear, but no tumble."""
+    """The first that is clear, and followed hardly worse than another; where none is followed, but no tumble."""
     found = [(stops, flown, select_stop(stops, flown)) for stops, flown in held]
     found = [one for one in found if one[2] >= 0 and not one[0].reasons[one[2]] & np.uint32(HITS)]
     clear = [one for one in found if one[1] is None or one[1].clear[one[2]]]
-    nearly = [one for one in clear if one[1] is None or one[1].astray[one[2]] <= TUMBLE]
-    return next(iter([one for one in clear if _is_followed(one)] + nearly), None)
+    followed = [one for one in clear if _is_followed(one)]
+    best = min(map(_astray, followed), default=np.inf)
+    well = [one for one in followed if _astray(one) <= best + NEARLY]
+    return next(iter(well + [one for one in clear if _astray(one) <= TUMBLE]), None)
+
+
+def _astray(found: _Found) -> float:
+    """How badly the model, where there is one, follows it [m]."""
+    return 0.0 if found[1] is None else float(found[1].astray[found[2]])
 
 
 def _is_followed(found: _Found | None) -> bool:

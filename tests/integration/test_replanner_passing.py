@@ -9,7 +9,8 @@ from jaxplan.planner import HITS, Fault, Rollout, Rollouts, build_planner
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.candidates import candidates_from
 from jaxplan.prediction.observations import first_observation
-from jaxplan.replanner import Measured, Replanner, Ways
+from jaxplan.records import replace
+from jaxplan.replanner import Measured, Replanner, Ways, stopping
 from jaxplan.replanner.committed import CommittedPlans, hold
 from jaxplan.replanner.passing import Passing
 from jaxplan.spline import FlatState, hover
@@ -205,6 +206,28 @@ def test_stops_are_clear_where_the_vehicle_comes_along_them(planner, place, stat
     replanner = Replanner(planner._replace(roll_out=lambda *_: model), nowhere, hover(START))
     replanner.expect(resting(0.5, 0.25))
     assert replanner.step(0.0, first_observation(0.0, START), HERE).status is status
+
+
+@pytest.mark.parametrize(("astray", "taken"), [(0.05, 3), (0.4, 5), (0.7, 5)])
+def test_a_stop_that_is_hardly_followed_is_not_taken_for_keeping_a_little_more(planner, astray, taken):
+    """Of two that are followed, or of which one is not, the first keeps the larger distance."""
+    stops = planner.brake(hover(START), hold(hover(START)).spline, 0.0, aside=True)
+    order = np.arange(len(stops.reasons))
+    error = np.where(order == 3, astray, 0.0)
+    flown = Rollouts(
+        positions=np.tile(START, (len(order), 75, 1)),
+        clearance=np.ones(len(order)),
+        error=error,
+        twist=np.zeros(len(order)),
+        clear=np.full(len(order), True),
+        followed=error < 0.6,
+    )
+    held = [
+        (replace(stops, reasons=np.where(np.isin(order, only), np.uint32(0), np.uint32(HITS))), flown)
+        for only in ([3], [3, 5])
+    ]
+    held[1] = (replace(held[1][0], arrival_times=np.where(order == 5, 9.0, 1.0)), flown)
+    assert stopping._clear(held)[2] == taken
 
 
 def test_where_all_are_hit_one_that_is_followed_is_taken(planner):

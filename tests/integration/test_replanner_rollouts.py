@@ -164,13 +164,13 @@ def test_plans_are_flown_without_compiling_and_followed_from_where_the_vehicle_s
 
 
 def test_of_flown_stops_the_gentlest_is_taken_that_is_followed_and_clear(planner):
-    """Then one that only turns fast, then any clear one; then the gentlest of the best followed; then the farthest."""
+    """Then one that only turns fast, then any clear one; of each kind, of the best followed; then the farthest."""
     found = planner.brake(hover(START))
     count, order = len(found.reasons), np.arange(len(found.reasons))
     hit, fast = np.uint32(Reason.CLEARANCE), np.uint32(Reason.BODY_RATE)
     stops = replace(found, arrival_times=1.0 * order, impact=np.zeros(count), thrust=np.ones(count))
 
-    def of(reasons, clear, followed, error=1.0 * order, clearance=1.0 * order):
+    def of(reasons, clear, followed, error=0.0 * order, clearance=1.0 * order):
         kinds = replace(stops, reasons=np.resize(np.asarray(reasons, np.uint32), count))
         masks = {"clear": np.resize(clear, count), "followed": np.resize(followed, count)}
         where = {"positions": np.zeros((count, 1, 3)), "twist": np.zeros(count)}
@@ -183,6 +183,9 @@ def test_of_flown_stops_the_gentlest_is_taken_that_is_followed_and_clear(planner
     assert of([0], [True], first) == 4
     assert of(np.where(first, fast, hit), [True], [True]) == 4
     assert of(np.where(first, Reason.UNTRACKABLE, hit), [True], [True]) == 4
-    assert of([0], [True], [False]) == 0, "the others go 1 m farther astray each"
-    assert of([0], [True], [False], error=np.where(first, 0.05, 0.0)) == last, "all are nearly as good"
+    for followed in (True, False):
+        assert of([0], [True], [followed], error=0.2 * order) == 0, "the others go farther astray each"
+        assert of([0], [True], [followed], error=np.where(first, 0.05, 0.0)) == last, "all are nearly as good"
+    others = np.where(first, 0, fast)
+    assert of(others, [True], [True], error=np.where(first, 0.25, 0.0)) == 4, "the others do not pass"
     assert of([0], [False], [True]) == last, "which stays farthest away"
