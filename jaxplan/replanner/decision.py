@@ -20,7 +20,6 @@ from jaxplan.planner import (
     Prospect,
     Refined,
     Seed,
-    Stops,
     Timer,
     capture_time,
     capture_times,
@@ -42,7 +41,7 @@ from jaxplan.replanner.incumbent import NO_INCUMBENT, Incumbent, incumbent_among
 from jaxplan.replanner.pace import Pace
 from jaxplan.replanner.records import ReplannerConfig
 from jaxplan.replanner.stopping import stop_for
-from jaxplan.replanner.vain import TWICE, Attempt, Vain
+from jaxplan.replanner.vain import TWICE, Vain
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import PlanStatus, Reason
 
@@ -54,10 +53,6 @@ APPROACHED = (0.5, 0.9, 1.4, 2.0)
 STANDING = 0.3
 """m/s; what is slower than that is not corrected where plans pass: of 153 such cycles the corrections of 5 were sooner,
 by 0.01 to 0.09 s (docs/decisions/0063). On the way to a place to look from it is: half of them are sooner (0064)."""
-
-
-ATTEMPTS: tuple[Attempt, Attempt] = ("approach", "stop")
-"""Where nothing passes."""
 
 
 class _Rival(NamedTuple):
@@ -87,8 +82,6 @@ class Decision:
         self._planner, self._config, self._known, self._timer = planner, config, known, timer
         self._pace, self._vain, self._latency = memory.pace, memory.vain, 1e3 * latency
         self.incumbent = self._incumbent()
-        self._tried = False
-        """Whether candidates were, in this cycle."""
         self._vain.against(known.committed, known.start.takeover - self.incumbent.score)
         self.refused = 0
         """Plans that passed every check but the last look."""
@@ -102,8 +95,7 @@ class Decision:
     def among(self, plans: Plans) -> Outcome:
         """The choice among a cycle's plans and what there is beside them."""
         prospect = self._known.prospect
-        self._tried = bool((plans.trajectory >= 0).any())
-        if self._tried:
+        if (plans.trajectory >= 0).any():
             self._vain.remember("plan")
         return self._by_score(plans) if prospect is None else self._by_capture(plans, prospect)
 
@@ -161,15 +153,14 @@ class Decision:
     def _by_capture(self, plans: Plans, prospect: Prospect) -> Outcome:
         """The ladder: what is expected to capture soonest, be it a plan, a correction or the committed one; a stop.
 
-        Where no flight, though it went straight on, would be enough sooner than what is committed, only that counts. It
-        is refined where no candidates were tried, or something moves: else there is no time for both (decision 68).
+        Where no flight, though it went straight on, would be enough sooner than what is committed, only that counts.
         """
         least = self.incumbent.score + self._planner.config.capture.gain
         if not -np.inf < plans.promise <= least and (outcome := self._soonest(least, plans, prospect)):
             return outcome
         if not np.isfinite(self.incumbent.score):
             return self.stop(PlanStatus.BRAKE)
-        if (self._tried and self._known.passing is None) or not self._vain.is_worth("refine"):
+        if not self._vain.is_worth("refine"):
             return PlanStatus.KEPT_COMMITTED, None
         seed = seed_towards(prospect, self._known.committed.spline, self._known.since, self._config.reach)
         refined = self._refined(seed, least)
@@ -178,8 +169,7 @@ class Decision:
     def _soonest(self, least: float, plans: Plans, prospect: Prospect) -> Outcome | None:
         """The best of plans and corrections, where it is worth more than ``least`` [s].
 
-        Where none of them passes approaches are looked at, and stops, which keep the ways open: in turn, since a cycle
-        has no time for both; in one cycle only where something moves (decision 68).
+        Where none of them passes approaches are looked at, and then stops, which keep the ways open.
         """
         start, rivals = self._known.start.state, self._ranked(plans, plans.score, PlanStatus.INTERCEPT, least)
         passes = bool((plans.reasons == 0).any())
@@ -190,18 +180,17 @@ class Decision:
             self._timer.lap("correct")
         if passes:
             return self._first(sorted(rivals, key=lambda rival: -rival.score)[:LOOKED_AT])
-        for attempt in self._attempts():
-            ways = self._approaches() if attempt == "approach" else self._stops()
-            outcome = self._first(self._ranked(ways, _worth(prospect, ways), PlanStatus.APPROACH, least))
-            if outcome is not None:
+        if self._vain.is_worth("approach"):
+            approaches = self._approaches()
+            ways = self._ranked(approaches, _worth(prospect, approaches), PlanStatus.APPROACH, least)
+            if outcome := self._first(ways):
                 return outcome
-        return None
-
-    def _attempts(self) -> list[Attempt]:
-        """What to try, in this order, where nothing passes; stops only beside what is committed."""
-        known = np.isfinite(self.incumbent.score)
-        worth = [attempt for attempt in ATTEMPTS[: 2 if known else 1] if self._vain.is_worth(attempt)]
-        return worth if self._known.passing is not None else self._vain.longest_ago(worth)[:1]
+        if not np.isfinite(self.incumbent.score) or not self._vain.is_worth("stop"):
+            return None
+        self._vain.remember("stop")
+        stops = self._planner.brake(start, self._known.committed.spline, self._known.since)
+        self._timer.lap("stop")
+        return self._first(self._ranked(stops, _worth(prospect, stops), PlanStatus.APPROACH, least))
 
     def _ranked(
         self, among: Flights, score: Float[np.ndarray, "k"], status: PlanStatus, least: float = -np.inf
@@ -248,14 +237,6 @@ class Decision:
         approaches = self._planner.approach(self._known.start.state, candidates)
         self._timer.lap("approach")
         return approaches
-
-    def _stops(self) -> Stops:
-        """Where the vehicle may come to rest on and beside the committed plan."""
-        self._vain.remember("stop")
-        known = self._known
-        stops = self._planner.brake(known.start.state, known.committed.spline, known.since)
-        self._timer.lap("stop")
-        return stops
 
     def _refined(self, seed: Seed, score: float, new: bool = False) -> Chosen | None:
         """An interception that is enough sooner than ``seed``, which is worth ``score``; None where there is none.

@@ -1,6 +1,5 @@
 """What was tried in vain against a committed plan is not tried again as long as that is as good as it was."""
 
-from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -30,8 +29,6 @@ class Vain:
         self._meeting = np.inf
         self._tried: dict[Attempt, _Tries] = {}
         self._new: set[Attempt] = set()
-        self._lately: dict[Attempt, int] = {}
-        self._number = 0
 
     def against(self, plan: CommittedPlan, meeting: float) -> None:
         """From now on against this plan, which meets the target at ``meeting`` [s], inf where it is worth nothing."""
@@ -44,14 +41,8 @@ class Vain:
         tries = self._tried.get(attempt)
         return tries is None or tries.number < enough or self._is_worse(tries)
 
-    def longest_ago(self, attempts: Sequence[Attempt]) -> list[Attempt]:
-        """Ordered by when they were tried last, against whatever plan; the one not tried for longest first."""
-        return sorted(attempts, key=lambda attempt: self._lately.get(attempt, 0))
-
     def remember(self, attempt: Attempt, new: bool = False) -> None:
         """It is tried now, in vain as far as is known: for what is committed, or for a ``new`` plan that will be."""
-        self._number += 1
-        self._lately[attempt] = self._number
         if new:
             self._new.add(attempt)
             return

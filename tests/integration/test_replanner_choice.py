@@ -7,7 +7,7 @@ from jaxplan.planner import Fault, build_planner
 from jaxplan.policy.constant_speed import constant_speed_policy
 from jaxplan.prediction.observations import first_observation
 from jaxplan.records import replace
-from jaxplan.replanner import Replanner, Ways
+from jaxplan.replanner import Replanner
 from jaxplan.replanner.decision import LOOKED_AT
 from jaxplan.spline import hover
 from jaxplan.status import Note, PlanStatus, Reason
@@ -56,46 +56,6 @@ def test_candidates_are_looked_at_again_only_where_something_has_become_worse(
         cycles.append(replanner.step(0.1 * cycle, seen))
     assert cycles[0].status is PlanStatus.INTERCEPT
     assert fewest <= sum(looked_at) <= most
-
-
-@pytest.mark.parametrize("moving", [False, True])
-@pytest.mark.parametrize("receding", [0.0, 0.2])
-def test_a_cycle_does_not_do_all_that_takes_long_but_where_something_moves(planner, receding, moving):
-    """Nothing passes once something is committed: approaches and stops in turn, and refined where nothing was tried."""
-    done: list[list[str]] = []
-
-    def noted(name, function):
-        def call(*given):
-            done[-1].append(name)
-            found = function(*given)
-            return None if found is None else replace(found, reasons=np.full_like(found.reasons, Reason.LIMITS))
-
-        return call
-
-    def plan_batch(*given):
-        plans, (*_, above) = planner.plan_batch(*given), given
-        if len(done) == 1:
-            return plans
-        done[-1].extend(["plan"] if above < np.inf else [])
-        none = np.full_like(plans.reasons, Reason.LIMITS)
-        return replace(plans, reasons=none, trajectory=np.full(len(none), 0 if above < np.inf else -1), promise=np.inf)
-
-    def predict(observations, cycle):
-        return predicted((0.0, 0.5, 0.0), place=(-4.2, (0.05 + receding) * cycle, 1.0))
-
-    watched = {name: noted(name, getattr(planner, name)) for name in ("correct", "approach", "brake", "refine")}
-    replanner = Replanner(planner._replace(plan_batch=plan_batch, **watched), predict, hover(START))
-    corner = np.full((1, 20, 3), 4.0)
-    replanner.expect(Ways(0.2 * np.arange(20), corner, corner + 0.4, 0.5) if moving else None)
-    for cycle in range(6):
-        done.append([])
-        replanner.step(0.1 * cycle, first_observation(0.0, np.array([-4.2, 0.0, 1.0])))
-    ways = [name for names in done[1:] for name in names if name in ("approach", "brake")]
-    assert any({"approach", "brake"} <= set(names) for names in done) == moving
-    assert any({"plan", "refine"} <= set(names) for names in done[1:]) == moving
-    assert ways == (6 * ["approach", "brake"])[: len(ways)]
-    assert len(ways) >= (2 if receding == 0.0 else 5)
-    assert any("refine" in names for names in done[1:]) == (moving or receding == 0.0)
 
 
 @pytest.mark.parametrize(("promise", "asked"), [(-np.inf, True), (-9.0, False), (0.0, True)])

@@ -130,19 +130,6 @@ def test_what_was_tried_in_vain_may_be_tried_again_in_a_changed_world():
     assert not vain.is_worth("stop")
 
 
-def test_what_was_tried_longest_ago_comes_first_whatever_is_committed():
-    vain, ways = Vain(), ("approach", "stop")
-    assert vain.longest_ago(ways) == ["approach", "stop"]
-    vain.remember("approach")
-    assert vain.longest_ago(ways) == ["stop", "approach"]
-    vain.remember("stop")
-    assert vain.longest_ago(ways) == ["approach", "stop"]
-    vain.remember("approach")
-    vain.against(hold(hover(START)), 3.0)
-    assert vain.longest_ago(ways) == ["stop", "approach"]
-    assert vain.longest_ago(ways[:1]) == ["approach"]
-
-
 @pytest.mark.parametrize(("receding", "least", "most"), [(0.0, 1, 3), (0.2, 4, 6)])
 def test_a_committed_plan_is_refined_again_where_it_has_become_worse(planner, receding, least, most):
     """The target flies as predicted, or each prediction has it farther away than the one before."""
