@@ -32,7 +32,13 @@ REFERENCES = {
     "hop at 2 g": plant_references.hop(TIMES, 10.0, 1.957),
     "figure-eight along its heading": plant_references.figure_eight(TIMES, 2.0, along_heading=True),
 }
-
+SHARES, DRAWS = (ValidatorConfig().least_thrust, 0.15), 4
+SAGGING = {
+    f"{share} of gravity, {draw}": plant_references.sagging(TIMES, share * 9.81, hold=0.5)
+    for share in SHARES
+    for draw in range(DRAWS)
+}
+"""What the last look lets pass, and what it does not."""
 
 WORST = {"quiet": 0.10, "noise": 0.15}
 """m, at any instant."""
@@ -41,11 +47,12 @@ WORST = {"quiet": 0.10, "noise": 0.15}
 @pytest.fixture(scope="module", params=list(WORST))
 def flown(request: pytest.FixtureRequest) -> tuple[float, dict[str, FlightLog]]:
     plant = build_plant(load_vehicle(), noise=request.param == "noise")
-    references = jax.tree.map(lambda *leaves: np.stack(leaves), *REFERENCES.values())
-    keys = jax.random.split(jax.random.key(0), len(REFERENCES))
+    every = {**REFERENCES, **SAGGING}
+    references = jax.tree.map(lambda *leaves: np.stack(leaves), *every.values())
+    keys = jax.random.split(jax.random.key(0), len(every))
     states = jax.vmap(plant.reset)(jax.tree.map(lambda leaf: leaf[:, 0], references), keys)
     batch = jax.vmap(plant.fly)(states, references)[1]
-    logs = {name: jax.tree.map(lambda leaf, i=i: leaf[i], batch) for i, name in enumerate(REFERENCES)}
+    logs = {name: jax.tree.map(lambda leaf, i=i: leaf[i], batch) for i, name in enumerate(every)}
     return WORST[request.param], logs
 
 
@@ -120,28 +127,29 @@ def test_what_is_comfortably_feasible_is_flown_by_rotorpy_too() -> None:
     assert np.max(theirs) < 0.30
 
 
-def test_less_thrust_than_the_last_look_allows_loses_the_attitude() -> None:
-    """Half a second of a third of gravity is flown, of 0.15 the vehicle turns about; see docs/decisions/0067."""
-    shares, draws = (ValidatorConfig().least_thrust, 0.15), 8
-    times = np.arange(int(1.6 * CONTROL_RATE) + 1) / CONTROL_RATE
-    references = [plant_references.sagging(times, share * 9.81, hold=0.5) for share in shares]
-    for reference, share in zip(references, shares, strict=True):
-        assert_slopes(times, np.asarray(reference.derivatives))
+def test_less_thrust_than_the_last_look_allows_loses_the_attitude(flown: tuple[float, dict[str, FlightLog]]) -> None:
+    """Half a second of a third of gravity is flown; of 0.15, in noise, the vehicle turns over (docs/decisions/0067)."""
+    worst, logs = flown
+    until = int(1.6 * CONTROL_RATE)
+    for share in SHARES:
+        reference = SAGGING[f"{share} of gravity, 0"]
+        assert_slopes(np.asarray(reference.derivatives)[:until])
         assert reference.acc[:, 2].min() == pytest.approx((share - 1.0) * 9.81)
-    plant = build_plant(load_vehicle())
-    rows = jax.tree.map(lambda *leaves: np.repeat(np.stack(leaves), draws, axis=0), *references)
-    states = jax.vmap(plant.reset)(jax.tree.map(lambda leaf: leaf[:, 0], rows), jax.random.split(jax.random.key(1), 16))
-    log = jax.vmap(plant.fly)(states, rows)[1]
-    error, twist = (np.asarray(part).max(axis=1).reshape(2, draws) for part in (log.position_error, log.twist_error))
-    assert error[0].max() < 0.1
-    assert twist[0].max() < 0.2
-    assert np.median(twist[1]) > np.pi / 2
-    assert np.median(error[1]) > 0.2
+        some = [logs[f"{share} of gravity, {draw}"] for draw in range(DRAWS)]
+        error, twist = (
+            np.stack([np.max(getattr(log, of)[:until]) for log in some]) for of in ("position_error", "twist_error")
+        )
+        if share == SHARES[0]:
+            assert error.max() < 0.1
+            assert twist.max() < 0.2
+        elif worst == WORST["noise"]:
+            assert np.median(error) > 0.2
+            assert np.median(twist) > np.pi / 2
 
 
-def assert_slopes(times: np.ndarray, derivatives: np.ndarray) -> None:
+def assert_slopes(derivatives: np.ndarray) -> None:
     """Each of them is the slope of the one before, within what a central difference knows."""
     for order in range(4):
-        slope = np.gradient(derivatives[:, order, 2], times)[2:-2]
+        slope = np.gradient(derivatives[:, order, 2], 1.0 / CONTROL_RATE)[2:-2]
         width = np.abs(derivatives[:, order + 1, 2]).max()
         assert np.abs(slope - derivatives[2:-2, order + 1, 2]).max() < 0.02 * width + 0.2 * (order == 3) * width
