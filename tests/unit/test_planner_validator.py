@@ -138,7 +138,7 @@ def test_limits_of_speed_and_of_rotors_are_those_of_the_configuration() -> None:
 
 @pytest.mark.parametrize("climbs", [False, True])
 def test_a_plan_that_nearly_falls_is_refused(climbs: bool) -> None:
-    """Down and to rest, or up and to rest, as fast as the least thrust on the way allows, and a tenth faster."""
+    """Down and to rest, or up and to rest, ever faster, until less than a quarter of gravity is left."""
     heights = np.array([1.0, 2.5, 4.0]) if climbs else np.array([4.0, 2.5, 1.0])
     waypoints = np.column_stack([np.full((3, 2), -4.0), heights])
     times = np.linspace(0.0, 1.0, 4000)
