@@ -147,7 +147,7 @@ def _round(
         timer.lap("minsnap")
         passes = tried[-1].reasons == 0
         rows = rows[~passes] if parts.config.exhaustive else rows[np.cumsum(passes) == 0]
-        if not len(rows) or (enough and passes.any()):
+        if not len(rows) or (enough and passes.any()) or timer.is_up:
             break
         if following is not None and not passes.any():
             following.begin()

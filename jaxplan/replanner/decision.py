@@ -7,7 +7,7 @@ others, what is chosen is made sooner where there is time, and nothing is chosen
 
 import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -38,12 +38,14 @@ from jaxplan.replanner.choice import (
 )
 from jaxplan.replanner.governor import slower
 from jaxplan.replanner.incumbent import NO_INCUMBENT, Incumbent, incumbent_among
-from jaxplan.replanner.pace import Pace
+from jaxplan.replanner.pace import Pace, Part
 from jaxplan.replanner.records import ReplannerConfig
 from jaxplan.replanner.stopping import stop_for
 from jaxplan.replanner.vain import TWICE, Vain
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import PlanStatus, Reason
+
+T = TypeVar("T")
 
 LOOKED_AT = 4
 """Plans of a kind that a cycle takes a last look at (arbitrary: more than one is hardly ever refused)."""
@@ -130,7 +132,7 @@ class Decision:
 
     def _by_score(self, plans: Plans) -> Outcome:
         """The ladder: a better interception, the committed one, an approach, a stop if need be, what is committed."""
-        candidates, incumbent = self._known.candidates, self.incumbent
+        incumbent = self.incumbent
         better = self._ranked(plans, plans.score, PlanStatus.INTERCEPT, incumbent.score)
         if outcome := self._first(better):
             return outcome
@@ -140,14 +142,19 @@ class Decision:
             seed = seed_of_committed(self._known.committed, incumbent, self._known.start.takeover)
             refined = self._refined(seed, incumbent.score)
             return (PlanStatus.INTERCEPT, refined) if refined else (PlanStatus.KEPT_COMMITTED, None)
-        approaches = self._approaches()
-        if outcome := self._first(self._ranked(approaches, -approaches.lateness, PlanStatus.APPROACH)):
-            return outcome
+        return self._late_or_not_at_all(bool((plans.reasons == 0).any()))
+
+    def _late_or_not_at_all(self, usable: bool) -> Outcome:
+        """An approach, a stop if need be, or what is committed, though it meets nothing; ``usable``: some plans are."""
+        if self._has_time("approach"):
+            approaches = self._approaches()
+            if outcome := self._first(self._ranked(approaches, -approaches.lateness, PlanStatus.APPROACH)):
+                return outcome
+            usable |= len(approaches.reasons) > 0
         if not self._known.certain:
             return self.stop(PlanStatus.BRAKE)
-        if (np.asarray(candidates.reasons) & np.uint32(Reason.TARGET_LOST)).all():
+        if (np.asarray(self._known.candidates.reasons) & np.uint32(Reason.TARGET_LOST)).all():
             return PlanStatus.TARGET_LOST, None
-        usable = bool((plans.reasons == 0).any()) or len(approaches.reasons) > 0
         return (PlanStatus.KEPT_COMMITTED if usable else PlanStatus.NO_CANDIDATE), None
 
     def _by_capture(self, plans: Plans, prospect: Prospect) -> Outcome:
@@ -173,23 +180,23 @@ class Decision:
         """
         start, rivals = self._known.start.state, self._ranked(plans, plans.score, PlanStatus.INTERCEPT, least)
         passes = bool((plans.reasons == 0).any())
-        if not passes or self._known.is_searching or np.linalg.norm(start.vel) > STANDING:
-            corrections = self._planner.correct(start, prospect)
+        wanted = not passes or self._known.is_searching or np.linalg.norm(start.vel) > STANDING
+        if wanted and self._has_time("correct"):
+            corrections = self._timed("correct", functools.partial(self._planner.correct, start, prospect))
             rivals += self._ranked(corrections, _worth(prospect, corrections), PlanStatus.INTERCEPT, least)
             passes |= bool((corrections.reasons == 0).any())
-            self._timer.lap("correct")
         if passes:
             return self._first(sorted(rivals, key=lambda rival: -rival.score)[:LOOKED_AT])
-        if self._vain.is_worth("approach"):
+        if self._vain.is_worth("approach") and self._has_time("approach"):
             approaches = self._approaches()
             ways = self._ranked(approaches, _worth(prospect, approaches), PlanStatus.APPROACH, least)
             if outcome := self._first(ways):
                 return outcome
-        if not np.isfinite(self.incumbent.score) or not self._vain.is_worth("stop"):
+        if not np.isfinite(self.incumbent.score) or not self._vain.is_worth("stop") or not self._has_time("stop"):
             return None
         self._vain.remember("stop")
-        stops = self._planner.brake(start, self._known.committed.spline, self._known.since)
-        self._timer.lap("stop")
+        brake = functools.partial(self._planner.brake, start, self._known.committed.spline, self._known.since)
+        stops = self._timed("stop", brake)
         return self._first(self._ranked(stops, _worth(prospect, stops), PlanStatus.APPROACH, least))
 
     def _ranked(
@@ -234,9 +241,20 @@ class Decision:
         if prospect is not None:
             candidates = expected_goals(prospect, np.asarray(candidates.target), APPROACHED)
         self._vain.remember("approach")
-        approaches = self._planner.approach(self._known.start.state, candidates)
-        self._timer.lap("approach")
-        return approaches
+        approach = functools.partial(self._planner.approach, self._known.start.state, candidates)
+        return self._timed("approach", approach)
+
+    def _has_time(self, part: Part) -> bool:
+        """For what can be left out; always, where late plans are flown all the same."""
+        left = self._latency - self._timer.total
+        return not self._config.drop_late or self._pace.fits(part, left, self._latency)
+
+    def _timed(self, part: Part, work: Callable[[], T]) -> T:
+        """A part's result, with what it took remembered."""
+        before, found = self._timer.total, work()
+        self._timer.lap(part)
+        self._pace.spent(part, self._timer.total - before)
+        return found
 
     def _refined(self, seed: Seed, score: float, new: bool = False) -> Chosen | None:
         """An interception that is enough sooner than ``seed``, which is worth ``score``; None where there is none.

@@ -1,4 +1,4 @@
-"""Refinements in the loop: as many steps as there is time for, and never a late plan for their sake."""
+"""Refinements in the loop, and what else it does where there is time, and never a late plan for their sake."""
 
 import numpy as np
 import pytest
@@ -75,6 +75,42 @@ def test_steps_follow_the_slowest_of_the_last_refinements():
         pace.took(24.0, STEPS)
     assert pace.steps(left=100.0, latency=100.0) == 40
     assert pace.steps(left=20.0, latency=100.0) == pace.steps(left=-5.0, latency=100.0) == 0
+
+
+def test_what_is_left_out_is_expected_to_take_less_until_it_is_tried_again():
+    pace = Pace()
+    assert pace.fits("stop", left=1.0, latency=4.0)
+    assert not pace.fits("stop", left=0.8, latency=4.0), "all of it is spare"
+    pace.spent("stop", 30.0)
+    assert pace.fits("approach", left=20.0, latency=50.0)
+    assert [pace.fits("stop", left=36.0, latency=50.0) for _ in range(3)] == [False, False, True]
+    pace.spent("stop", 1.0)
+    assert not pace.fits("stop", left=30.0, latency=50.0), "once it took longer"
+
+
+@pytest.mark.parametrize(
+    ("taken", "drop", "tried"), [(0.03, True, "YYYY"), (0.045, True, "YnnY"), (0.06, False, "YYYY")]
+)
+def test_a_cycle_approaches_only_where_that_will_not_be_late(planner, taken, drop, tried):
+    watch, asked = Watch(0.0), []
+
+    def approach(state, candidates):
+        asked.append("Y")
+        watch.now += taken
+        return planner.approach(state, candidates)
+
+    def nowhere(observations, cycle):
+        return candidates_from(START, START[None] + 3.0, np.array([0.1]), np.zeros(1))
+
+    replanner = Replanner(
+        planner._replace(approach=approach), nowhere, hover(START), ReplannerConfig(drop_late=drop), watch
+    )
+    statuses = []
+    for cycle in range(len(tried)):
+        asked.append("n")
+        statuses.append(replanner.step(0.1 * cycle, first_observation(0.1 * cycle, START)).status)
+    assert "".join(asked).replace("nY", "Y") == tried
+    assert PlanStatus.LATE not in statuses
 
 
 def test_what_was_tried_in_vain_is_tried_again_only_against_another_plan_or_a_worse_one():
