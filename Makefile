@@ -7,10 +7,11 @@ OUT ?= out/demo
 # Two processes, a file each: nearly twice as fast on two cores.
 PYTEST_ARGS ?= -n 2 --dist loadfile --no-loadscope-reorder
 # What runs on JAX and MJX: with the code of the docs enough to tell whether another version of them holds.
-JAX_TESTS = $(wildcard tests/unit/test_minsnap_*.py tests/unit/test_spline*.py tests/unit/test_tracking_*.py \
-    tests/unit/test_vehicle_*.py) $(addprefix tests/unit/test_, arrival.py feasibility.py knots.py policy.py policy_speed_profile.py \
-    prediction_mixture.py selection.py world_clearance.py) $(addprefix tests/integration/test_, canaries.py \
-    planner.py plant_tools.py)
+JAX_TESTS = $(addprefix tests/unit/test_, arrival.py feasibility.py knots.py minsnap_accuracy.py minsnap_many.py \
+    minsnap_time_allocation.py minsnap_traced.py policy.py prediction_mixture.py selection.py spline.py spline_operations.py \
+    tracking_accuracy.py tracking_body.py tracking_disturbance.py tracking_fidelity.py tracking_physics.py tracking_plant.py \
+    tracking_rollout.py tracking_track.py vehicle_flatness.py world_clearance.py) $(addprefix tests/integration/test_, \
+    canaries.py planner.py plant_tools.py)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:

@@ -75,6 +75,7 @@ def test_a_plan_takes_over_within_a_period() -> None:
         episodes.LoopConfig(PredictionConfig(), 0.0, ReplannerConfig(period=0.1, latency=0.2))
 
 
+@pytest.mark.slow
 def test_an_episode_depends_on_nothing_but_itself(runner: Runner, outcomes: list[Outcome]) -> None:
     again = runner.fly(on_device.scene(DEFENDER, "env1"), flights(6)[::-1])[::-1]
     for one, other in zip(outcomes, again, strict=True):

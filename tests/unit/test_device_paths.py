@@ -106,6 +106,7 @@ def test_an_empty_room_has_straight_ways_only() -> None:
     np.testing.assert_allclose(found.length, [np.sqrt(19.0), np.sqrt(9.25)], rtol=1e-6)  # float32
 
 
+@pytest.mark.slow
 def test_rooms_made_alike_stay_what_they_are(rooms: dict[str, Room]) -> None:
     shared = dict(zip(rooms, alike(list(rooms.values())), strict=True))
     shapes = {name: [leaf.shape for leaf in jax.tree.leaves(room)] for name, room in shared.items()}

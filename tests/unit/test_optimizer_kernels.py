@@ -141,7 +141,8 @@ def test_one_step_is_that_of_the_batched_code(name, flying, x64):
     assert_same_step(task, case_of(task, vehicle), a_point(6))
 
 
-@pytest.mark.parametrize("segments", [3, pytest.param(8, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("segments", [3, 8])
 def test_without_drag_and_without_a_limit_of_the_turn(segments, x64):
     vehicle = replace(load_vehicle(), drag_coefficient=0.0)
     task = task_of(vehicle, turning=np.inf)

@@ -136,6 +136,7 @@ def planners():
     return made
 
 
+@pytest.mark.slow
 def test_a_planner_asks_it_for_all_candidates_and_meets_what_it_could_not(planners):
     times = np.linspace(0.95, 1.1, 10)
     goals = np.repeat((START + np.array([2.0, 0.5, 0.2]))[None], 10, axis=0)

@@ -164,7 +164,7 @@ def dash(seconds, turn=0.0):
     return PiecewisePolynomial(durations=found.durations, position=found.position, yaw=yaw)
 
 
-@pytest.mark.parametrize("name", ["mfrl", "racer5", "x500"])
+@pytest.mark.parametrize("name", ["mfrl", *(pytest.param(name, marks=pytest.mark.slow) for name in ("racer5", "x500"))])
 def test_a_whole_plan_is_followed_as_the_plant_follows_it(name):
     """Slow flights are, fast ones are not, and in between the plant with its noise agrees."""
     vehicle = load_vehicle(name)

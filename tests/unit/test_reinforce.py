@@ -72,6 +72,7 @@ def classifier(examples):
     return make_classifier(model._replace(process=model.process._replace(kernel=kernel, mean=weights)))
 
 
+@pytest.mark.slow
 def test_the_reward_is_probability_times_saved_time(examples, classifier):
     logs = np.log(np.maximum(examples.durations, 1e-3)) - 0.1
     with jax.enable_x64(True):

@@ -25,7 +25,7 @@ def enters(low: np.ndarray, high: np.ndarray, a: np.ndarray, b: np.ndarray) -> b
     return bool(((points >= low) & (points <= high)).all(axis=1).any())
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))])
 def test_whatever_a_segment_enters_is_in_its_sector(seed: int) -> None:
     rng = np.random.default_rng(seed)
     low = rng.uniform(-5.0, 5.0, (30, 3))

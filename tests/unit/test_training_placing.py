@@ -173,6 +173,7 @@ def test_a_gentle_plan_costs_its_time_and_a_hasty_one_more(some):
     assert (np.asarray(hasty.loss) > np.asarray(hasty.meeting) + 1.0).all()
 
 
+@pytest.mark.slow
 def test_plans_hold_their_heading_and_end_at_rest(some):
     first, *_ = flown(some)
     network, weights = PolicyNetwork(SMALL, OUTPUTS), start_placing(SMALL, jax.random.key(0))
