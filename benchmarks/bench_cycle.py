@@ -120,7 +120,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--draws", nargs="+", type=int, default=[20, 103], help="of each step, by those that draw")
     parser.add_argument("--targets", nargs="+", type=int, default=[1, 7])
     parser.add_argument("--repeats", type=int, default=4)
-    parser.add_argument("--budget", type=float, default=20.0, help="ms of a cycle, after which its plan is late")
+    parser.add_argument("--budget", type=float, default=30.0, help="ms of a cycle, after which its plan is late")
     chosen = parser.parse_args(arguments)
     rows = []
     for predictor in chosen.predictors:

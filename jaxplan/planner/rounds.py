@@ -63,8 +63,9 @@ def until_one_passes(parts: Parts, state: FlatState, table: Table, timer: Timer,
     """Search, match, solve and check the best rows first, in at most so many rounds, until a round has a usable one.
 
     Paths are searched and waypoints placed for few more of them than it takes to fill the next round with what may
-    arrive in time. Once the ``timer`` is up there is no further round. As soon as the first one has come to nothing,
-    or its first time allocation has, two are tried at a time, on two cores.
+    arrive in time. As soon as the first round has come to nothing, or its first time allocation has, two are tried at a
+    time, on two cores. Once the ``timer`` is up no more are
+    wanted, but what has begun is waited for.
     """
     width, exhaustive, asked = parts.config.width, parts.config.exhaustive, parts.tried(state)
     rows = table.usable() if exhaustive else table.best_first()
@@ -77,7 +78,7 @@ def until_one_passes(parts: Parts, state: FlatState, table: Table, timer: Timer,
         while len(waiting) >= (least := width if len(rows) else 1):
             now, waiting, rounds = waiting[:width], waiting[width:], rounds - 1
             following = _Following()
-            if not exhaustive and rounds > 0 and len(waiting) >= least:
+            if not exhaustive and rounds > 0 and len(waiting) >= least and not timer.is_up:
                 later = parts.allocations(state)
                 following = _Following(functools.partial(_round, parts, state, table, waiting[:width], later, Timer()))
             if begun:
@@ -87,7 +88,7 @@ def until_one_passes(parts: Parts, state: FlatState, table: Table, timer: Timer,
             timer.lap("minsnap")
             table = functools.reduce(enter, tried, table)
             passed = any((checked.reasons == 0).any() for checked in tried)
-            if not exhaustive and (passed or timer.is_up or rounds == 0):
+            if not exhaustive and (passed or rounds == 0 or (timer.is_up and soon is None)):
                 return outrank(table, np.concatenate([waiting, rows]))
     return table
 
@@ -147,7 +148,7 @@ def _round(
         timer.lap("minsnap")
         passes = tried[-1].reasons == 0
         rows = rows[~passes] if parts.config.exhaustive else rows[np.cumsum(passes) == 0]
-        if not len(rows) or (enough and passes.any()) or timer.is_up:
+        if not len(rows) or (enough and passes.any()):
             break
         if following is not None and not passes.any():
             following.begin()

@@ -47,7 +47,8 @@ RESERVE = 1.2
 """By how much the latency is longer than 99 of 100 of them (arbitrary)."""
 PLANNED = 0.6
 """Share of the latency after which no more candidates are tried, where late plans are dropped: what has passed by then
-is chosen from, and the rest is for looking at it (arbitrary)."""
+is chosen from, and the rest is for looking at it (arbitrary). Where nothing has, what was done until then counts as
+this share of what a cycle takes, so that the latency grows until there is time for another round."""
 
 
 class Replanner:
@@ -174,13 +175,14 @@ class Replanner:
         lost = start.deviation > self.config.stop_beyond
         above = np.inf if lost else decision.above
         plans = self.planner.plan_batch(start.state, candidates, timer, above)
+        wanted = timer.total / PLANNED if timer.is_up and not (plans.reasons == 0).any() else 0.0
         status, chosen = decision.governed(decision.stop(PlanStatus.RECOVER) if lost else decision.among(plans))
         timer.lap("select")
         if chosen is not None and self.config.drop_late and timer.total > 1e3 * latency:
             status, chosen = PlanStatus.LATE, None
         jump = None if chosen is None else self._commit(chosen, start, status)
         timer.lap("select")
-        self._adapt(1e-3 * timer.total)
+        self._adapt(1e-3 * max(timer.total, wanted))
         return Cycle(
             time=now,
             status=status,
@@ -273,7 +275,7 @@ class Replanner:
         return jump
 
     def _adapt(self, seconds: float) -> None:
-        """Let the latency follow what cycles take, where that is wanted."""
+        """Let the latency follow what cycles take, or would have needed, where that is wanted."""
         if self.config.most_latency is not None:
             self._took.append(seconds)
             wanted = RESERVE * float(np.quantile(self._took, 0.99))

@@ -35,6 +35,25 @@ def test_once_the_time_is_up_no_more_candidates_are_tried(world, moving):
     assert hasty.score[tried].min() >= hasty.score[wanted & ~tried].max()
 
 
+def test_a_round_that_has_begun_is_waited_for_once_the_time_is_up(world, monkeypatch):
+    """The first one comes to nothing, and takes all the time that there is; the next one runs beside it."""
+    planner = build_planner(CONFIG, world=world, vehicle=load_vehicle(), policy=constant_speed_policy())
+    given, checked, now = candidates(200), rounds.check, [0.0]
+    hasty = planner.plan_batch(hover(START), given, Timer(itertools.count().__next__, 1e-3))
+    first = np.flatnonzero(hasty.trajectory >= 0)
+
+    def check(parts, state, table, matched):
+        now[0], good = 1.0, checked(parts, state, table, matched)
+        return good._replace(reasons=np.where(np.isin(good.rows, first), np.uint32(Reason.LIMITS), good.reasons))
+
+    monkeypatch.setattr(rounds, "check", check)
+    monkeypatch.setattr(rounds, "PORTION", 6)
+    plans = planner.plan_batch(hover(START), given, Timer(lambda: now[0], 500.0))
+    assert select(plans) >= 0
+    assert select(plans) not in first
+    assert (plans.trajectory >= 0).sum() == 2 * CONFIG.width
+
+
 def test_no_more_paths_are_searched_than_it_takes(world, moving, monkeypatch):
     """To the goals of the best; to others only where too few of those can be reached in time; to none twice."""
     searched = []

@@ -314,6 +314,16 @@ def test_the_latency_follows_what_cycles_take_within_its_bounds(planner):
     assert starts == sorted(starts)
 
 
+def test_the_latency_grows_until_there_is_time_for_another_round(planner):
+    """Nothing passes, and predicting takes 0.15 s, most of the latency: it counts as 60 % of what a cycle takes."""
+    config = ReplannerConfig(latency=0.2, most_latency=0.5, drop_late=True)
+    nowhere, seen = near(START + 3.0, 0.1), first_observation(0.0, START)
+    replanner = Replanner(planner, Slow(nowhere), hover(START), config)
+    latencies = [replanner.step(0.4 * k, seen).latency for k in range(3)]
+    assert latencies[0] == 0.2
+    assert all(1.2 * 0.15 / 0.6 <= latency < 0.45 for latency in latencies[1:])
+
+
 def test_limits_of_the_latency_are_checked():
     with pytest.raises(InputError, match="most_latency"):
         ReplannerConfig(latency=0.2, most_latency=0.1)
