@@ -7,7 +7,7 @@ others, what is chosen is made sooner where there is time, and nothing is chosen
 
 import functools
 from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -38,14 +38,12 @@ from jaxplan.replanner.choice import (
 )
 from jaxplan.replanner.governor import slower
 from jaxplan.replanner.incumbent import NO_INCUMBENT, Incumbent, incumbent_among
-from jaxplan.replanner.pace import Pace, Part
+from jaxplan.replanner.pace import Pace
 from jaxplan.replanner.records import ReplannerConfig
 from jaxplan.replanner.stopping import stop_for
 from jaxplan.replanner.vain import TWICE, Vain
 from jaxplan.spline import FlatState, PiecewisePolynomial
 from jaxplan.status import PlanStatus, Reason
-
-T = TypeVar("T")
 
 LOOKED_AT = 4
 """Plans of a kind that a cycle takes a last look at (arbitrary: more than one is hardly ever refused)."""
@@ -146,7 +144,7 @@ class Decision:
 
     def _late_or_not_at_all(self, usable: bool) -> Outcome:
         """An approach, a stop if need be, or what is committed, though it meets nothing; ``usable``: some plans are."""
-        if self._has_time("approach"):
+        if self._left > 0.0:
             approaches = self._approaches()
             if outcome := self._first(self._ranked(approaches, -approaches.lateness, PlanStatus.APPROACH)):
                 return outcome
@@ -181,22 +179,24 @@ class Decision:
         start, rivals = self._known.start.state, self._ranked(plans, plans.score, PlanStatus.INTERCEPT, least)
         passes = bool((plans.reasons == 0).any())
         wanted = not passes or self._known.is_searching or np.linalg.norm(start.vel) > STANDING
-        if wanted and self._has_time("correct"):
-            corrections = self._timed("correct", functools.partial(self._planner.correct, start, prospect))
+        if wanted and self._may_correct(passes):
+            before, corrections = self._timer.total, self._planner.correct(start, prospect)
+            self._timer.lap("correct")
+            self._pace.corrected(self._timer.total - before)
             rivals += self._ranked(corrections, _worth(prospect, corrections), PlanStatus.INTERCEPT, least)
             passes |= bool((corrections.reasons == 0).any())
         if passes:
             return self._first(sorted(rivals, key=lambda rival: -rival.score)[:LOOKED_AT])
-        if self._vain.is_worth("approach") and self._has_time("approach"):
+        if self._vain.is_worth("approach") and self._left > 0.0:
             approaches = self._approaches()
             ways = self._ranked(approaches, _worth(prospect, approaches), PlanStatus.APPROACH, least)
             if outcome := self._first(ways):
                 return outcome
-        if not np.isfinite(self.incumbent.score) or not self._vain.is_worth("stop") or not self._has_time("stop"):
+        if not np.isfinite(self.incumbent.score) or not self._vain.is_worth("stop") or self._left <= 0.0:
             return None
         self._vain.remember("stop")
-        brake = functools.partial(self._planner.brake, start, self._known.committed.spline, self._known.since)
-        stops = self._timed("stop", brake)
+        stops = self._planner.brake(start, self._known.committed.spline, self._known.since)
+        self._timer.lap("stop")
         return self._first(self._ranked(stops, _worth(prospect, stops), PlanStatus.APPROACH, least))
 
     def _ranked(
@@ -241,20 +241,18 @@ class Decision:
         if prospect is not None:
             candidates = expected_goals(prospect, np.asarray(candidates.target), APPROACHED)
         self._vain.remember("approach")
-        approach = functools.partial(self._planner.approach, self._known.start.state, candidates)
-        return self._timed("approach", approach)
+        approaches = self._planner.approach(self._known.start.state, candidates)
+        self._timer.lap("approach")
+        return approaches
 
-    def _has_time(self, part: Part) -> bool:
-        """For what can be left out; always, where late plans are flown all the same."""
-        left = self._latency - self._timer.total
-        return not self._config.drop_late or self._pace.fits(part, left, self._latency)
+    @property
+    def _left(self) -> float:
+        """Of the latency [ms]; inf, where late plans are flown all the same."""
+        return self._latency - self._timer.total if self._config.drop_late else np.inf
 
-    def _timed(self, part: Part, work: Callable[[], T]) -> T:
-        """A part's result, with what it took remembered."""
-        before, found = self._timer.total, work()
-        self._timer.lap(part)
-        self._pace.spent(part, self._timer.total - before)
-        return found
+    def _may_correct(self, passes: bool) -> bool:
+        """Whether there is time: where a plan ``passes`` already, corrections must not make it late."""
+        return self._pace.corrects(self._left, self._latency) if passes else self._left > 0.0
 
     def _refined(self, seed: Seed, score: float, new: bool = False) -> Chosen | None:
         """An interception that is enough sooner than ``seed``, which is worth ``score``; None where there is none.
@@ -303,7 +301,7 @@ class Decision:
         planned = self._planner.config.refinement
         if not self._config.drop_late or planned is None:
             return None
-        return min(self._pace.steps(self._latency - self._timer.total, self._latency), planned.iterations)
+        return min(self._pace.steps(self._left, self._latency), planned.iterations)
 
     def _passes(self, spline: PiecewisePolynomial) -> bool:
         """The last look at a plan, and its flight in the model."""

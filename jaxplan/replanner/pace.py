@@ -1,7 +1,6 @@
-"""What a cycle still has time for: how long its parts took before, in what is left of the latency."""
+"""What a cycle still has time for: how long refinements and corrections took, and what is left of the latency."""
 
 from collections import deque
-from typing import Literal
 
 FIRST = 1.0
 """ms per step of a refinement, as long as none was measured (arbitrary: four times what a core takes)."""
@@ -10,18 +9,15 @@ REMEMBERED = 30
 SPARE = 0.2
 """Share of the latency that is left for what comes after it (arbitrary)."""
 FADES = 0.9
-"""Of what a part took is expected the next time, unless it takes longer, or is left out (arbitrary)."""
-
-Part = Literal["correct", "approach", "stop"]
-"""What a cycle can leave out, all or nothing."""
+"""Of what corrections took is expected the next time, unless they take longer (arbitrary)."""
 
 
 class Pace:
-    """What the parts took. A refinement can stop after any step, and is only ever better; others are whole or not."""
+    """What they took. A refinement can stop after any step, and is only ever better; corrections are whole or not."""
 
     def __init__(self) -> None:
         self._per_step: deque[float] = deque([FIRST], maxlen=REMEMBERED)
-        self._expected: dict[Part, float] = {}
+        self._corrections = 0.0
 
     def steps(self, left: float, latency: float) -> int:
         """For how many steps there is time, where ``left`` of ``latency`` is not used up yet [ms]; 0: for none."""
@@ -31,14 +27,13 @@ class Pace:
         """Remember a refinement, the last descent of which took so many steps."""
         self._per_step.append(milliseconds / steps)
 
-    def fits(self, part: Part, left: float, latency: float) -> bool:
-        """Whether there is time for a part; what is left out is expected to take less, until it is tried again."""
-        expected = self._expected.get(part, 0.0)
-        if expected < max(left - SPARE * latency, 0.0):
+    def corrects(self, left: float, latency: float) -> bool:
+        """Whether there is time for corrections; left out, they are expected to take less, until they are tried."""
+        if self._corrections < max(left - SPARE * latency, 0.0):
             return True
-        self._expected[part] = FADES * expected
+        self._corrections *= FADES
         return False
 
-    def spent(self, part: Part, milliseconds: float) -> None:
-        """Remember what a part took."""
-        self._expected[part] = max(milliseconds, FADES * self._expected.get(part, 0.0))
+    def corrected(self, milliseconds: float) -> None:
+        """Remember what corrections took."""
+        self._corrections = max(milliseconds, FADES * self._corrections)

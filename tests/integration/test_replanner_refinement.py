@@ -10,7 +10,7 @@ from jaxplan.prediction.candidates import candidates_from
 from jaxplan.prediction.futures import Futures
 from jaxplan.prediction.observations import first_observation
 from jaxplan.records import replace
-from jaxplan.replanner import Replanner, ReplannerConfig
+from jaxplan.replanner import Measured, Replanner, ReplannerConfig
 from jaxplan.replanner.committed import hold
 from jaxplan.replanner.pace import FIRST, REMEMBERED, Pace
 from jaxplan.replanner.vain import TWICE, WORSE, Vain
@@ -77,40 +77,65 @@ def test_steps_follow_the_slowest_of_the_last_refinements():
     assert pace.steps(left=20.0, latency=100.0) == pace.steps(left=-5.0, latency=100.0) == 0
 
 
-def test_what_is_left_out_is_expected_to_take_less_until_it_is_tried_again():
+def test_corrections_that_are_left_out_are_expected_to_take_less_until_they_are_tried_again():
     pace = Pace()
-    assert pace.fits("stop", left=1.0, latency=4.0)
-    assert not pace.fits("stop", left=0.8, latency=4.0), "all of it is spare"
-    pace.spent("stop", 30.0)
-    assert pace.fits("approach", left=20.0, latency=50.0)
-    assert [pace.fits("stop", left=36.0, latency=50.0) for _ in range(3)] == [False, False, True]
-    pace.spent("stop", 1.0)
-    assert not pace.fits("stop", left=30.0, latency=50.0), "once it took longer"
+    assert pace.corrects(left=np.inf, latency=50.0)
+    assert pace.corrects(left=1.0, latency=4.0)
+    assert not pace.corrects(left=0.8, latency=4.0), "all of it is spare"
+    pace.corrected(30.0)
+    assert [pace.corrects(left=36.0, latency=50.0) for _ in range(3)] == [False, False, True]
+    pace.corrected(1.0)
+    assert not pace.corrects(left=30.0, latency=50.0), "once they took longer"
 
 
 @pytest.mark.parametrize(
-    ("taken", "drop", "tried"), [(0.03, True, "YYYY"), (0.045, True, "YnnY"), (0.06, False, "YYYY")]
+    ("taken", "drop", "tried"), [(0.045, True, "YYY"), (0.055, True, "nnn"), (0.055, False, "YYY")]
 )
-def test_a_cycle_approaches_only_where_that_will_not_be_late(planner, taken, drop, tried):
+def test_a_cycle_approaches_only_where_it_is_not_late_already(planner, taken, drop, tried):
     watch, asked = Watch(0.0), []
 
     def approach(state, candidates):
         asked.append("Y")
-        watch.now += taken
         return planner.approach(state, candidates)
 
     def nowhere(observations, cycle):
+        watch.now += taken
         return candidates_from(START, START[None] + 3.0, np.array([0.1]), np.zeros(1))
 
-    replanner = Replanner(
-        planner._replace(approach=approach), nowhere, hover(START), ReplannerConfig(drop_late=drop), watch
-    )
-    statuses = []
+    settings = ReplannerConfig(drop_late=drop)
+    replanner = Replanner(planner._replace(approach=approach), nowhere, hover(START), settings, watch)
     for cycle in range(len(tried)):
         asked.append("n")
-        statuses.append(replanner.step(0.1 * cycle, first_observation(0.1 * cycle, START)).status)
+        replanner.step(0.1 * cycle, first_observation(0.1 * cycle, START))
     assert "".join(asked).replace("nY", "Y") == tried
-    assert PlanStatus.LATE not in statuses
+
+
+@pytest.mark.parametrize(("taken", "corrected"), [(0.0, True), (0.045, False)])
+def test_corrections_make_no_plan_late_that_passes(planner, taken, corrected):
+    """The vehicle moves, off its reference, and 45 of the 50 ms are over."""
+    watch, asked = Watch(taken), []
+
+    def correct(state, prospect):
+        asked.append(state)
+        return planner.correct(state, prospect)
+
+    def predicted(observations, cycle):
+        found = watch(observations, cycle)
+        positions = np.concatenate([[found.target], found.goals])[None]
+        futures = Futures(times=0.1 * np.arange(31), positions=positions, weights=np.ones(1))
+        return replace(found, futures=futures)
+
+    def hasty(state, candidates, timer, above):
+        return planner.plan_batch(state, candidates, None, above)
+
+    moving = planner._replace(correct=correct, plan_batch=hasty)
+    settings = ReplannerConfig(drop_late=True)
+    replanner = Replanner(moving, predicted, hover(START), settings, watch)
+    off = Measured(START - np.array([0.0, 0.0, 0.55]), np.array([0.4, 0.0, 0.0]), np.zeros(3))
+    cycle = replanner.step(0.0, first_observation(0.0, START), off)
+    assert (cycle.plans.reasons == 0).any()
+    assert bool(asked) == corrected
+    assert cycle.status is PlanStatus.INTERCEPT
 
 
 def test_what_was_tried_in_vain_is_tried_again_only_against_another_plan_or_a_worse_one():
