@@ -86,7 +86,8 @@ class PlanStatus(enum.IntEnum):
     TARGET_LOST = 5
     """The target has been silent for too long; the committed trajectory stays."""
     LATE = 6
-    """A better trajectory was ready only after it would have had to take over; the committed one stays."""
+    """A better trajectory was ready only after it would have had to take over, or was not looked for any more, since it
+    would have been; the committed one stays."""
     BRAKE = 7
     """The world has changed, the committed trajectory is not clear any more, and none other was found but a stop."""
     BLOCKED = 8

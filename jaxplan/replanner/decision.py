@@ -85,6 +85,7 @@ class Decision:
         self._vain.against(known.committed, known.start.takeover - self.incumbent.score)
         self.refused = 0
         """Plans that passed every check but the last look."""
+        self._late = False
 
     @property
     def above(self) -> float:
@@ -97,7 +98,9 @@ class Decision:
         prospect = self._known.prospect
         if (plans.trajectory >= 0).any():
             self._vain.remember("plan")
-        return self._by_score(plans) if prospect is None else self._by_capture(plans, prospect)
+        outcome = self._by_score(plans) if prospect is None else self._by_capture(plans, prospect)
+        late = self._late and outcome[0] in (PlanStatus.KEPT_COMMITTED, PlanStatus.NO_CANDIDATE)
+        return (PlanStatus.LATE, None) if late else outcome
 
     def stop(self, status: PlanStatus) -> Outcome:
         """What ``stop_for`` takes."""
@@ -144,7 +147,7 @@ class Decision:
 
     def _late_or_not_at_all(self, usable: bool) -> Outcome:
         """An approach, a stop if need be, or what is committed, though it meets nothing; ``usable``: some plans are."""
-        if self._left > 0.0:
+        if self._in_time():
             approaches = self._approaches()
             if outcome := self._first(self._ranked(approaches, -approaches.lateness, PlanStatus.APPROACH)):
                 return outcome
@@ -187,12 +190,12 @@ class Decision:
             passes |= bool((corrections.reasons == 0).any())
         if passes:
             return self._first(sorted(rivals, key=lambda rival: -rival.score)[:LOOKED_AT])
-        if self._vain.is_worth("approach") and self._left > 0.0:
+        if self._vain.is_worth("approach") and self._in_time():
             approaches = self._approaches()
             ways = self._ranked(approaches, _worth(prospect, approaches), PlanStatus.APPROACH, least)
             if outcome := self._first(ways):
                 return outcome
-        if not np.isfinite(self.incumbent.score) or not self._vain.is_worth("stop") or self._left <= 0.0:
+        if not np.isfinite(self.incumbent.score) or not self._vain.is_worth("stop") or not self._in_time():
             return None
         self._vain.remember("stop")
         stops = self._planner.brake(start, self._known.committed.spline, self._known.since)
@@ -250,9 +253,14 @@ class Decision:
         """Of the latency [ms]; inf, where late plans are flown all the same."""
         return self._latency - self._timer.total if self._config.drop_late else np.inf
 
+    def _in_time(self) -> bool:
+        """Whether what is found now may still be committed; where not, the cycle is late."""
+        self._late |= self._left <= 0.0
+        return self._left > 0.0
+
     def _may_correct(self, passes: bool) -> bool:
         """Whether there is time: where a plan ``passes`` already, corrections must not make it late."""
-        return self._pace.corrects(self._left, self._latency) if passes else self._left > 0.0
+        return self._pace.corrects(self._left, self._latency) if passes else self._in_time()
 
     def _refined(self, seed: Seed, score: float, new: bool = False) -> Chosen | None:
         """An interception that is enough sooner than ``seed``, which is worth ``score``; None where there is none.

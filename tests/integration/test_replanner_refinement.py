@@ -104,10 +104,12 @@ def test_a_cycle_approaches_only_where_it_is_not_late_already(planner, taken, dr
 
     settings = ReplannerConfig(drop_late=drop)
     replanner = Replanner(planner._replace(approach=approach), nowhere, hover(START), settings, watch)
+    statuses = []
     for cycle in range(len(tried)):
         asked.append("n")
-        replanner.step(0.1 * cycle, first_observation(0.1 * cycle, START))
+        statuses.append(replanner.step(0.1 * cycle, first_observation(0.1 * cycle, START)).status)
     assert "".join(asked).replace("nY", "Y") == tried
+    assert statuses.count(PlanStatus.LATE) == tried.count("n")
 
 
 @pytest.mark.parametrize(("taken", "corrected"), [(0.0, True), (0.045, False)])
