@@ -8,8 +8,8 @@ OUT ?= out/demo
 PYTEST_ARGS ?= -n 2 --dist loadfile --no-loadscope-reorder
 # What runs on JAX and MJX: with the code of the docs enough to tell whether another version of them holds.
 JAX_TESTS = $(addprefix tests/unit/test_, arrival.py feasibility.py knots.py minsnap_accuracy.py minsnap_many.py \
-    minsnap_time_allocation.py minsnap_traced.py policy.py prediction_mixture.py selection.py spline.py spline_operations.py \
-    tracking_accuracy.py tracking_body.py tracking_disturbance.py tracking_fidelity.py tracking_physics.py tracking_plant.py \
+    minsnap_time_allocation.py minsnap_traced.py policy.py prediction_mixture.py selection.py spline.py \
+    spline_operations.py tracking_accuracy.py tracking_body.py tracking_disturbance.py tracking_fidelity.py tracking_physics.py tracking_plant.py \
     tracking_rollout.py tracking_track.py vehicle_flatness.py world_clearance.py) $(addprefix tests/integration/test_, \
     canaries.py planner.py plant_tools.py)
 

@@ -64,8 +64,7 @@ def until_one_passes(parts: Parts, state: FlatState, table: Table, timer: Timer,
 
     Paths are searched and waypoints placed for few more of them than it takes to fill the next round with what may
     arrive in time. As soon as the first round has come to nothing, or its first time allocation has, two are tried at a
-    time, on two cores. Once the ``timer`` is up no more are
-    wanted, but what has begun is waited for.
+    time, on two cores. Once the ``timer`` is up no other is begun, but what has begun is waited for.
     """
     width, exhaustive, asked = parts.config.width, parts.config.exhaustive, parts.tried(state)
     rows = table.usable() if exhaustive else table.best_first()

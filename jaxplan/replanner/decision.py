@@ -85,7 +85,8 @@ class Decision:
         self._vain.against(known.committed, known.start.takeover - self.incumbent.score)
         self.refused = 0
         """Plans that passed every check but the last look."""
-        self._late = False
+        self._cut_off = False
+        """Whether something was left out that would have been late."""
 
     @property
     def above(self) -> float:
@@ -99,8 +100,8 @@ class Decision:
         if (plans.trajectory >= 0).any():
             self._vain.remember("plan")
         outcome = self._by_score(plans) if prospect is None else self._by_capture(plans, prospect)
-        late = self._late and outcome[0] in (PlanStatus.KEPT_COMMITTED, PlanStatus.NO_CANDIDATE)
-        return (PlanStatus.LATE, None) if late else outcome
+        nothing = outcome[0] in (PlanStatus.KEPT_COMMITTED, PlanStatus.NO_CANDIDATE)
+        return (PlanStatus.LATE, None) if nothing and self._cut_off else outcome
 
     def stop(self, status: PlanStatus) -> Outcome:
         """What ``stop_for`` takes."""
@@ -143,9 +144,9 @@ class Decision:
             seed = seed_of_committed(self._known.committed, incumbent, self._known.start.takeover)
             refined = self._refined(seed, incumbent.score)
             return (PlanStatus.INTERCEPT, refined) if refined else (PlanStatus.KEPT_COMMITTED, None)
-        return self._late_or_not_at_all(bool((plans.reasons == 0).any()))
+        return self._without_meeting(bool((plans.reasons == 0).any()))
 
-    def _late_or_not_at_all(self, usable: bool) -> Outcome:
+    def _without_meeting(self, usable: bool) -> Outcome:
         """An approach, a stop if need be, or what is committed, though it meets nothing; ``usable``: some plans are."""
         if self._in_time():
             approaches = self._approaches()
@@ -254,9 +255,10 @@ class Decision:
         return self._latency - self._timer.total if self._config.drop_late else np.inf
 
     def _in_time(self) -> bool:
-        """Whether what is found now may still be committed; where not, the cycle is late."""
-        self._late |= self._left <= 0.0
-        return self._left > 0.0
+        """Whether what is looked for now may still be committed; where not, it is left out, and the cycle late."""
+        in_time = self._left > 0.0
+        self._cut_off |= not in_time
+        return in_time
 
     def _may_correct(self, passes: bool) -> bool:
         """Whether there is time: where a plan ``passes`` already, corrections must not make it late."""
